@@ -1,0 +1,1 @@
+"""The bench application: procedures, runs, calibration, reports."""

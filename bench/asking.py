@@ -1,0 +1,66 @@
+"""Asks a person until the answer is one of the kind that the prompt wants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from drivers.interfaces import BenchError, Person, Prompt, PromptKind
+
+YES: Final = frozenset({"y", "yes", "ok", "done"})
+NO: Final = frozenset({"n", "no"})
+MOST_ATTEMPTS: Final = 5
+
+
+def ask(person: Person, prompt: Prompt) -> str:
+    """Put the prompt until its answer fits; return the answer's text, the default for an empty one.
+
+    `prompt.id` is the step's key; "#1", "#2"… is added for each attempt, and an answer to another id is
+    stale and ignored. Raises `NoAnswer` when nobody answers, `BenchError` after five answers that do not fit.
+    """
+    text = prompt.text
+    for attempt in range(1, MOST_ATTEMPTS + 1):
+        put = replace(prompt, id=f"{prompt.id}#{attempt}", text=text)
+        answer = person.ask(put)
+        given = answer.text.strip() or (prompt.default or "")
+        problem = "the answer belongs to an earlier question" if answer.prompt_id != put.id else ""
+        problem = problem or problem_with(prompt, given)
+        if not problem:
+            return given
+        text = f"{problem[0].upper()}{problem[1:]}. {prompt.text}"
+    raise BenchError("operator", f"no usable answer to {prompt.text!r}", "go on with 'bench resume'")
+
+
+def problem_with(prompt: Prompt, text: str) -> str:
+    """Say what is wrong with an answer, in words; empty when it fits the prompt's kind and limits."""
+    match prompt.kind:
+        case PromptKind.CONFIRM:
+            return "" if text.lower() in YES | NO else f"answer yes or no, not {text!r}"
+        case PromptKind.CHOOSE:
+            return (
+                "" if text in prompt.choices else f"choose one of {', '.join(prompt.choices)}, not {text!r}"
+            )
+        case PromptKind.NUMBER:
+            return _problem_with_number(prompt, text)
+        case PromptKind.ANGLE:
+            return ""  # the head that asks knows its scale, and checks
+
+
+def _problem_with_number(prompt: Prompt, text: str) -> str:
+    try:
+        value = float(text.replace(",", ".").removesuffix(prompt.unit).strip())
+    except ValueError:
+        return f"a number{' in ' + prompt.unit if prompt.unit else ''} is wanted, not {text!r}"
+    if prompt.minimum is not None and value < prompt.minimum:
+        return f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}".rstrip()
+    if prompt.maximum is not None and value > prompt.maximum:
+        return f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}".rstrip()
+    return "" if value == value else "a number is wanted"  # noqa: PLR0124 - NaN is not equal to itself
+
+
+def confirm(person: Person, prompt: Prompt) -> None:
+    """Ask for a confirmation. Raises `BenchError` when the person says no, beside what `ask` raises."""
+    if ask(person, prompt).lower() in NO:
+        raise BenchError(
+            "operator", f"answered no to: {prompt.text}", "go on with 'bench resume' when it is done"
+        )

@@ -1,0 +1,18 @@
+"""From readings to coefficients with an uncertainty, and the check at the verification points."""
+
+from bench.calibration.calibrate import ESTIMATORS, calibrate
+from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise
+from bench.calibration.verification import Verification, VerificationPoint, verify
+
+__all__ = [
+    "ESTIMATORS",
+    "Calibration",
+    "CalibrationError",
+    "Estimate",
+    "LackOfFit",
+    "Noise",
+    "Verification",
+    "VerificationPoint",
+    "calibrate",
+    "verify",
+]

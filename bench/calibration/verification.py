@@ -1,0 +1,108 @@
+"""The paper's check (9)-(10): the modulus of the specific force at the verification points must be g."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.calibration.result import CalibrationError
+from bench.model.block import Block
+from bench.readings import Readings
+
+Floats = NDArray[np.float64]
+
+HIGHEST_CONDITION: Final = 1e8
+"""Condition number of K above which its inverse is noise: a real block has one near 1."""
+
+
+@dataclass(frozen=True)
+class VerificationPoint:
+    """One reading at a verification point: modulus `g_p` and its error `delta_g` in local g, with u."""
+
+    angle_deg: float
+    pass_number: int
+    point: int
+    g_p: float
+    delta_g: float
+    u: float
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The verdict: simple acceptance, |delta g| within the limit at every verification point."""
+
+    limit_g: float
+    points: tuple[VerificationPoint, ...]
+    rule: str = "simple acceptance"
+
+    @property
+    def passed(self) -> bool:
+        """Whether every point passed."""
+        return all(point.passed for point in self.points)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised result."""
+        return {
+            "limit_g": self.limit_g,
+            "rule": self.rule,
+            "passed": self.passed,
+            "points": [
+                {
+                    "angle_deg": p.angle_deg,
+                    "pass": p.pass_number,
+                    "point": p.point,
+                    "g_p": p.g_p,
+                    "delta_g": p.delta_g,
+                    "u": p.u,
+                    "passed": p.passed,
+                }
+                for p in self.points
+            ],
+        }
+
+
+def verify(
+    readings: Readings, block: Block, covariance: Floats, reading_noise: float, limit_g: float
+) -> Verification:
+    """Apply (9)-(10) to the verification rows of a table.
+
+    `covariance` (12, 12) of the coefficients and `reading_noise` (unit of the signal) give u of each delta g;
+    the setting of the head does not enter, the modulus does not depend on it. The rule is simple acceptance
+    (JCGM 106:2012, 8.2). Raises `CalibrationError` when there is no verification row or K is singular.
+    """
+    rows = readings.verification()
+    if len(rows) == 0:
+        raise CalibrationError(
+            f"{readings.source}: no verification point (installation V) in it; "
+            "run a procedure that has them, such as 'calibration'"
+        )
+    if not np.isfinite(block.K).all() or np.linalg.cond(block.K) > HIGHEST_CONDITION:
+        raise CalibrationError(
+            "the matrix K is singular, so no specific force follows from a signal; check the coefficients"
+        )
+    inverse = np.linalg.inv(block.K)
+    force = block.specific_force(rows.signal)
+    modulus = np.linalg.norm(force, axis=1)
+    # d|a|/dU = (a/|a|)^T N, d|a|/dK_ij = -(that)_i a_j, d|a|/dU0 = -(that)
+    by_signal = (force / modulus[:, None]) @ inverse
+    by_k = -(by_signal[:, :, None] * force[:, None, :]).reshape(len(rows), 9)
+    by_coefficient = np.concatenate([by_k, -by_signal], axis=1)
+    variance = np.einsum("np,pq,nq->n", by_coefficient, covariance, by_coefficient)
+    variance += reading_noise**2 * np.sum(by_signal**2, axis=1)
+    points = tuple(
+        VerificationPoint(
+            angle_deg=float(np.degrees(rows.angle_rad[i])),
+            pass_number=int(rows.pass_number[i]),
+            point=int(rows.point[i]),
+            g_p=float(modulus[i]),
+            delta_g=float(modulus[i] - 1.0),
+            u=float(np.sqrt(variance[i])),
+            passed=bool(abs(modulus[i] - 1.0) <= limit_g),
+        )
+        for i in range(len(rows))
+    )
+    return Verification(limit_g, points)

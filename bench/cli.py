@@ -1,0 +1,268 @@
+"""The `bench` command: parses, calls, prints. What a command needs is imported when it runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(
+    name="bench",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Calibrates triaxial accelerometer blocks on a dividing head.",
+    epilog="Exit status: 0 done and accepted, 1 done and not accepted, 2 could not be done.",
+)
+
+DONE, NOT_ACCEPTED, NOT_DONE = 0, 1, 2
+
+BenchOption = Annotated[
+    str | None,
+    typer.Option("--bench", metavar="FILE", envvar="BENCH_FILE", help="Bench file, by path or shipped name."),
+]
+RunsOption = Annotated[
+    Path, typer.Option("--runs", metavar="DIR", envvar="BENCH_RUNS", help="Folder in which runs live.")
+]
+JsonOption = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is standard output.")
+]
+ModelOption = Annotated[
+    Path | None, typer.Option("--model", metavar="FILE", help="Model file: effects beside the paper's terms.")
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Where to write what is derived from a file.")
+]
+SkipOption = Annotated[bool, typer.Option("--skip-bad-rows", help="Leave out rows that cannot be read.")]
+GravityOption = Annotated[
+    float | None,
+    typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),
+]
+Sources = Annotated[
+    list[str], typer.Argument(metavar="SOURCE…", help="Runs (name or path) or readings files.")
+]
+ProcedureArgument = Annotated[str, typer.Argument(help="Procedure file, by path or shipped name.")]
+RunArgument = Annotated[str, typer.Argument(help="Run, by name or path.")]
+LatestRun = Annotated[
+    str | None, typer.Argument(help="Run, by name or path; the latest unfinished if left out.")
+]
+
+RUNS = Path("runs")
+
+
+@app.callback()
+def _common(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    """Calibrates triaxial accelerometer blocks on a dividing head."""
+
+
+@app.command(epilog="Example: bench run calibration --bench my-bench.yaml --name unit-17")
+def run(
+    procedure: ProcedureArgument,
+    bench: BenchOption = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Simulated instruments, virtual clock.")] = False,
+    seed: Annotated[int, typer.Option(help="Random numbers of a dry run.", min=0)] = 1,
+    name: Annotated[str | None, typer.Option(help="Name of the run (default: procedure and time).")] = None,
+    operator: Annotated[str, typer.Option(help="Who stands at the bench, for the record.")] = "",
+    model: ModelOption = None,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
+    from bench.commands import execute
+
+    request = execute.Request(procedure, bench, dry_run, seed, name, operator, model, runs)
+    return execute.run(request)
+
+
+@app.command(epilog="Example: bench resume unit-17")
+def resume(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
+    """Go on with an interrupted run at the first point without a reading."""
+    from bench.commands import execute
+
+    return execute.resume(name, runs)
+
+
+@app.command(epilog="Example: bench abort unit-17")
+def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
+    """End an interrupted run for good; its record is kept."""
+    from bench.commands import execute
+
+    return execute.abort(name, runs)
+
+
+@app.command(epilog="Example: bench check calibration --bench my-bench.yaml")
+def check(procedure: ProcedureArgument, bench: BenchOption = None, json: JsonOption = None) -> int:
+    """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
+    from bench.commands import check as command
+
+    return command.check(procedure, bench, json)
+
+
+@app.command(epilog="Example: bench runs")
+def runs(runs: RunsOption = RUNS, json: JsonOption = None) -> int:
+    """List the runs, what became of them, and how to go on."""
+    from bench.commands import records
+
+    return records.runs(runs, json)
+
+
+@app.command(epilog="Example: bench show unit-17 --verify")
+def show(
+    run: RunArgument,
+    verify: Annotated[bool, typer.Option("--verify", help="Check the record for changed lines.")] = False,
+    runs: RunsOption = RUNS,
+    json: JsonOption = None,
+) -> int:
+    """Show what a run holds: inputs, events, readings."""
+    from bench.commands import records
+
+    return records.show(run, runs, json, check=verify)
+
+
+@app.command(epilog="Example: bench export unit-17 --csv readings.csv")
+def export(
+    run: RunArgument,
+    csv: Annotated[str, typer.Option("--csv", metavar="FILE", help="File; - is standard output.")],
+    runs: RunsOption = RUNS,
+) -> int:
+    """Write the readings of a run as a readings file."""
+    from bench.commands import records
+
+    return records.export(run, runs, csv)
+
+
+@app.command("import", epilog="Example: bench import readings.csv --name unit-17-by-hand")
+def import_(
+    file: Annotated[Path, typer.Argument(help="Readings file.")],
+    name: Annotated[str | None, typer.Option(help="Name of the run (default: the file's).")] = None,
+    bench: BenchOption = None,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Make a run of a readings file that was measured elsewhere."""
+    from bench.commands import records
+
+    return records.import_file(file, name, bench, runs)
+
+
+@app.command(epilog="Example: bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json")
+def calibrate(
+    sources: Sources,
+    estimator: Annotated[
+        str, typer.Option(help="gls (all readings), or closed-form (the paper's (7)-(8)).")
+    ] = "gls",
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    g: GravityOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Lack of fit (p < 0.01) is not accepted.")] = False,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Coefficients with uncertainty from runs or readings files."""
+    from bench.commands import analyse
+
+    request = analyse.Request(sources, runs, bench, model, g, out, skip_bad_rows)
+    return analyse.calibrate(request, estimator, json, strict=strict)
+
+
+@app.command(epilog="Example: bench verify unit-17 --coefficients last-year.json")
+def verify(
+    sources: Sources,
+    coefficients: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Result of 'calibrate --json' of another day.")
+    ] = None,
+    limit: Annotated[
+        float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")
+    ] = None,
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    g: GravityOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Δg at the verification points against the limit; exit status 1 when one is outside."""
+    from bench.commands import analyse
+
+    request = analyse.Request(sources, runs, bench, model, g, out, skip_bad_rows)
+    return analyse.verify(request, coefficients, limit, json)
+
+
+@app.command(epilog="Example: bench report unit-17")
+def report(
+    source: Annotated[str, typer.Argument(help="Run (name or path) or readings file.")],
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    g: GravityOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Write the report of a run: one HTML page."""
+    from bench.commands import analyse
+
+    return analyse.report(analyse.Request([source], runs, bench, model, g, out, skip_bad_rows))
+
+
+@app.command(epilog="Example: bench init my-lab")
+def init(folder: Annotated[Path, typer.Argument(help="Folder to write into.")] = Path()) -> int:
+    """Write copies of the shipped procedures and bench files, to edit."""
+    from bench.commands import check as command
+
+    return command.init(folder)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its status; every mistake is a clear line on standard error."""
+    given = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in given
+    try:
+        status = app([a for a in given if a != "--debug"] or ["--help"], standalone_mode=False)
+    except KeyboardInterrupt:
+        status = _fail("stopped by Ctrl-C")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = NOT_DONE
+    except typer.Abort:
+        status = _fail("stopped")
+    except Exception as error:
+        if debug:
+            raise
+        status = _fail(explain(error))
+    sys.exit(status if isinstance(status, int) else DONE)
+
+
+def explain(error: Exception) -> str:
+    """Return the sentence for an error; one that nobody foresaw says how to see more."""
+    if isinstance(error, typer.TyperException) or expected(error):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'}: {error.strerror or error}"
+    return f"unexpected {type(error).__name__}: {error}; run again with --debug and report what it shows"
+
+
+def expected(error: Exception) -> bool:
+    """Whether an error was made to be read by a person."""
+    from bench.bench_file import FileMistakes
+    from bench.calibration import CalibrationError
+    from bench.commands import CommandError
+    from bench.readings_csv import ReadingsError
+    from bench.record import RecordError
+    from drivers.interfaces import BenchError
+
+    kinds: tuple[Any, ...] = (
+        FileMistakes, CalibrationError, CommandError, ReadingsError, RecordError, BenchError,
+    )  # fmt: skip
+    return isinstance(error, kinds)
+
+
+def _fail(text: str) -> int:
+    print(f"bench: {text}", file=sys.stderr)
+    return NOT_DONE

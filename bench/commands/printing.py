@@ -1,0 +1,117 @@
+"""Results as text in the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.calibration import Calibration, Verification
+from bench.commands.source import Source
+from bench.model.block import COEFFICIENTS
+
+
+def console() -> Console:
+    """Return the console for results; wide enough that no table is cut when the output is a file."""
+    out = Console(highlight=False, soft_wrap=True)
+    return out if out.is_terminal else Console(highlight=False, soft_wrap=True, width=120)
+
+
+def calibration(source: Source, result: Calibration, file: Path | None) -> None:
+    """Print the coefficients, the noise and the fit."""
+    out = console()
+    readings = f"{len(result.fitted)} readings"
+    if result.skipped:
+        readings += f", {result.skipped} bad rows skipped"
+    out.print(
+        f"Calibration of {source.name}: {result.estimator}, model {result.model}, {readings}, "
+        f"local g = {result.g_m_s2:.6g} m/s²"
+    )
+    out.print(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {result.unit}")
+    out.print(coefficient_table(result))
+    fit = result.lack_of_fit
+    noise = result.noise
+    out.print(
+        f"noise (1 sigma, from {noise.source}): reading {quantity(noise.reading, result.unit)}, "
+        f"setting of the head {np.degrees(noise.setting_rad) * 3600:.2g} arcsec"
+    )
+    if np.isfinite(fit.p):
+        verdict = "the model fits" if fit.p >= 0.01 else "THE MODEL DOES NOT FIT the readings"
+        out.print(
+            f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
+        )
+    else:
+        out.print("lack of fit: too few repeats to tell")
+    for name, value in result.effects.items():
+        out.print(f"effect {name} = {value.value:.4g} ± {value.u:.2g} {value.unit}")
+    for note in (*source.readings.notes, *source.readings.skipped):
+        out.print(f"note: {note}", markup=False)
+    for sentence in result.assumed:
+        out.print(f"assumed: {sentence}", markup=False)
+    if file is not None:
+        written("result", file)
+
+
+def coefficient_table(result: Calibration) -> Table:
+    """Return the coefficients with u and U (k = 2), rounded to two digits of u."""
+    table = Table(box=None, pad_edge=False)
+    for heading, side in (
+        ("coefficient", "left"),
+        ("value", "right"),
+        ("u", "right"),
+        ("U (k=2)", "right"),
+        ("", "left"),
+    ):
+        table.add_column(heading, justify=side)  # type: ignore[arg-type]
+    for name, value, u in zip(COEFFICIENTS, result.block.vector, result.u, strict=True):
+        digits = decimals(float(u))
+        unit = result.unit if name.startswith("U0") else f"{result.unit}/g"
+        table.add_row(name, f"{value:.{digits}f}", f"{u:.{digits}f}", f"{2 * u:.{digits}f}", unit)
+    return table
+
+
+def verification(name: str, result: Verification, file: Path | None) -> None:
+    """Print Δg at each verification point and the verdict."""
+    out = console()
+    table = Table(box=None, pad_edge=False)
+    for heading in ("verification point", "angle", "Δg", "u", ""):
+        table.add_column(heading, justify="left" if heading in {"verification point", ""} else "right")
+    for p in result.points:
+        table.add_row(
+            f"pass {p.pass_number} point {p.point}",
+            f"{p.angle_deg:.4f}°",
+            f"{p.delta_g * 1e6:+.1f} µg",
+            f"{p.u * 1e6:.1f} µg",
+            "within" if p.passed else "OUTSIDE",
+        )
+    out.print(table)
+    worst = max(result.points, key=lambda p: abs(p.delta_g))
+    out.print(
+        f"{name}: {'PASSED' if result.passed else 'FAILED'}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
+        f"± {worst.u * 1e6:.1f} µg (u), limit {result.limit_g * 1e6:.0f} µg, rule: {result.rule}",
+        style="bold",
+        markup=False,
+    )
+    if file is not None:
+        written("result", file)
+
+
+def written(what: str, file: Path) -> None:
+    """Say where a file was written."""
+    console().print(f"{what}: {file}", markup=False)
+
+
+def decimals(u: float) -> int:
+    """Decimals that show two significant digits of an uncertainty."""
+    if not np.isfinite(u) or u <= 0:
+        return 9
+    return int(min(12, max(0, 1 - np.floor(np.log10(u)))))
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a small value with the prefix that reads best: "98 µV"."""
+    if unit == "V" and value < 1e-3:
+        return f"{value * 1e6:.3g} µV"
+    return f"{value:.3g} {unit}"

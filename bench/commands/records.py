@@ -1,0 +1,147 @@
+"""runs, show, export, import: the run records."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from rich.table import Table
+
+from bench.bench_file import load_bench
+from bench.commands import printing
+from bench.commands.provenance import versions
+from bench.commands.source import Request, bench_path, load_sources, write_json
+from bench.readings_csv import format_csv, read_csv
+from bench.record import Record
+from bench.resume import resume_point
+from bench.run_folder import BENCH, IMPORTED, Run, all_runs, find_run
+from bench.terminal import duration
+from drivers.clock import utc_now
+
+
+def runs(folder: Path, target: str | None) -> int:
+    """Carry out `bench runs`."""
+    found = all_runs(folder)
+    write_json([{"runs": [_summary(run) for run in found]}], target)
+    if target == "-":
+        return 0
+    out = printing.console()
+    if not found:
+        out.print(f"{folder}: no runs there")
+        return 0
+    table = Table(box=None, pad_edge=False)
+    for heading in ("run", "begun", "instruments", "state", "readings", "to go on"):
+        table.add_column(heading, justify="right" if heading == "readings" else "left")
+    for run in found:
+        s = _summary(run)
+        table.add_row(
+            str(s["name"]),
+            str(s["created"])[:19].replace("T", " "),
+            str(s["instruments"]),
+            str(s["state"]),
+            str(s["readings"]),
+            str(s["to_go_on"]),
+        )
+    out.print(table)
+    return 0
+
+
+def _summary(run: Run) -> dict[str, object]:
+    state = "imported" if "imported" in run.manifest else run.history.state
+    state = (
+        "damaged"
+        if run.history.problems
+        else {"running": "unfinished", "empty": "not begun"}.get(state, state)
+    )
+    open_states = {"unfinished", "not begun", "failed", "interrupted"}
+    return {
+        "name": run.name,
+        "created": run.manifest.get("created", ""),
+        "instruments": "simulated" if run.simulated else ("-" if state == "imported" else "real"),
+        "state": state,
+        "readings": _count(run),
+        "to_go_on": f"bench resume {run.name}" if state in open_states else "",
+    }
+
+
+def _count(run: Run) -> int:
+    if "imported" in run.manifest:
+        return int(run.manifest["readings"])
+    return len({e.data["step"] for e in run.history.events if e.type == "step_done" and "reading" in e.data})
+
+
+def show(name: str, folder: Path, target: str | None, *, check: bool) -> int:
+    """Carry out `bench show`; 1 when the record was changed."""
+    run = find_run(name, folder)
+    problems = list(run.history.problems)
+    write_json([{**_summary(run), "manifest": run.manifest, "problems": problems}], target)
+    if target == "-":
+        return 1 if problems else 0
+    out = printing.console()
+    for key, value in {**_summary(run), **run.manifest}.items():
+        out.print(f"{key}: {value}")
+    if check:
+        events = len(run.history.events)
+        out.print(
+            f"record: {events} events, " + ("; ".join(problems) if problems else "chain of hashes whole")
+        )
+        if run.history.torn:
+            out.print("record: the last line is half written; 'bench resume' drops it")
+    else:
+        _show_events(run)
+    return 1 if problems else 0
+
+
+def _show_events(run: Run) -> None:
+    out = printing.console()
+    if "imported" in run.manifest:
+        return
+    steps = run.plan.steps
+    for event in run.history.events:
+        if event.type == "step_started":
+            continue
+        text = event.type
+        if "step" in event.data and event.type == "step_done":
+            text = steps[int(event.data["step"])].describe()
+        reading = event.data.get("reading")
+        if reading:
+            text += "  " + "  ".join(f"{value:+.6f} {reading['unit']}" for value in reading["mean"])
+        if "error" in event.data:
+            text += f": {event.data['error']}"
+        out.print(f"{event.number:5d}  {duration(event.bench_s):>11}  {text}")
+    point = resume_point(run.plan, run.history)
+    if point.step < len(steps):
+        out.print(f"next: step {point.step + 1}, {steps[point.step].describe()}")
+
+
+def export(name: str, folder: Path, target: str) -> int:
+    """Carry out `bench export`."""
+    (source,) = load_sources(Request([name], folder, None, None, None, None, False))
+    text = format_csv(source.readings)
+    if target == "-":
+        sys.stdout.write(text)
+    else:
+        Path(target).write_text(text, encoding="utf-8", newline="")
+        printing.console().print(f"{len(source.readings)} readings written to {target}")
+    return 0
+
+
+def import_file(file: Path, name: str | None, bench: str | None, folder: Path) -> int:
+    """Carry out `bench import`: the file is checked, then kept in a run folder as it came."""
+    path = bench_path(bench)
+    readings = read_csv(file, load_bench(path).installation_models())
+    run = Run(folder / (name or file.stem))
+    manifest = {
+        "name": run.name,
+        "created": utc_now().isoformat(),
+        "imported": str(file),
+        "readings": len(readings),
+        "bench": str(path),
+        "versions": versions(),
+    }
+    inputs = {IMPORTED: file.read_bytes(), BENCH: path.read_bytes()}
+    record = Record.create(run.folder, manifest, inputs, utc_now)
+    record.append("imported", 0.0, file=str(file), readings=len(readings))
+    record.close()
+    printing.console().print(f"{len(readings)} readings imported as run {run.name} in {run.folder}")
+    return 0

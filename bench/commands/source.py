@@ -1,0 +1,133 @@
+"""What an analysis is made from: a run or a readings file, with the bench and the model that belong to it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.bench_file import BenchFile, load_bench
+from bench.commands import CommandError
+from bench.model import ForwardModel
+from bench.model_file import load_model
+from bench.readings import Readings
+from bench.readings_csv import read_csv
+from bench.record import MANIFEST, sha256
+from bench.run_folder import BENCH, IMPORTED, Run, find_run
+from bench.shipped import find_bench
+
+DEFAULT_BENCH = "paper-stand"
+
+
+@dataclass(frozen=True)
+class Request:
+    """Options that all analyses share."""
+
+    sources: list[str]
+    runs: Path
+    bench: str | None
+    model: Path | None
+    g_m_s2: float | None
+    out: Path | None
+    skip_bad_rows: bool
+
+
+@dataclass(frozen=True)
+class Source:
+    """One run or readings file, read, with its bench. `run` is None for a readings file."""
+
+    name: str
+    readings: Readings
+    bench: BenchFile
+    bench_sha256: str
+    model: ForwardModel
+    g_m_s2: float
+    run: Run | None
+    request: Request
+
+    @property
+    def stand_u(self) -> dict[str, float]:
+        """Standard uncertainties of the stand's errors by name, rad (V for the voltmeter's)."""
+        return {name: d.u for name, d in self.bench.stand_distributions().items()}
+
+    def output(self, command: str, suffix: str) -> Path:
+        """Return the file that a command writes for this source.
+
+        In the run's folder, in `--out`, or in a folder named after the command beside the readings file.
+        """
+        if self.run is not None:
+            return (self.request.out or self.run.folder) / f"{command}{suffix}"
+        file = Path(self.name)
+        return (self.request.out or file.parent / command) / f"{file.stem}{suffix}"
+
+
+def load_sources(request: Request) -> list[Source]:
+    """Read all sources. Raises the first mistake found, as the readers do."""
+    return [_load(name, request) for name in request.sources]
+
+
+def bench_path(given: str | None) -> Path:
+    """Return the bench file asked for, or the shipped one that stands in for it."""
+    return find_bench(given or DEFAULT_BENCH)
+
+
+def _load(name: str, request: Request) -> Source:
+    run = _run_of(name, request.runs)
+    if run is not None and request.bench is None:
+        path = run.folder / BENCH
+        run.trusted_history()
+    else:
+        path = bench_path(request.bench)
+    bench = load_bench(path)
+    installations = bench.installation_models()
+    if run is None:
+        readings = read_csv(Path(name), installations, skip_bad_rows=request.skip_bad_rows)
+    elif "imported" in run.manifest:
+        readings = read_csv(run.folder / IMPORTED, installations, skip_bad_rows=request.skip_bad_rows)
+    else:
+        readings = run.readings()
+    gravity = request.g_m_s2 or bench.gravity_m_s2
+    if gravity is None:
+        raise CommandError(f"{path}: gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)")
+    model = ForwardModel(installations)
+    if request.model is not None:
+        file = load_model(request.model)
+        model = ForwardModel(installations, file.applied_effects(), file.name)
+    return Source(name, readings, bench, sha256(path.read_bytes()), model, gravity, run, request)
+
+
+def _run_of(name: str, runs: Path) -> Run | None:
+    """Tell a run from a readings file: a file is a file, everything else must be a run."""
+    path = Path(name)
+    if path.is_file() and path.name != MANIFEST:
+        return None
+    if path.suffix.lower() in {".csv", ".txt"} and not (runs / name).is_dir():
+        raise CommandError(f"{name}: no such readings file; check the name")
+    return find_run(name, runs)
+
+
+def write_json(results: list[dict[str, Any]], target: str | None) -> None:
+    """Write one result, or a list of several in the order of the sources, to a file or standard output."""
+    if target is None:
+        return
+    text = json.dumps(results[0] if len(results) == 1 else results, indent=1, ensure_ascii=False) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+    else:
+        Path(target).write_text(text, encoding="utf-8")
+
+
+def write_beside(path: Path, text: str, *, asked: bool) -> bool:
+    """Write a derived file; say so and go on where the place is not writable, unless it was asked for."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        if asked:
+            raise
+        print(f"note: {os.fspath(path)} is not written ({error.strerror}); use --out DIR", file=sys.stderr)
+        return False
+    return True

@@ -1,0 +1,24 @@
+"""The forward model: geometry of the stand, the block, effects. One definition serves simulation and fit."""
+
+from bench.model.block import Block
+from bench.model.conditions import Conditions, Mount
+from bench.model.distribution import Distribution
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Stage
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES, Installation, stand_errors
+
+__all__ = [
+    "CATALOGUE",
+    "STAND_ANGLES",
+    "AppliedEffect",
+    "Block",
+    "Conditions",
+    "Distribution",
+    "Effect",
+    "ForwardModel",
+    "Installation",
+    "Mount",
+    "Parameter",
+    "Stage",
+    "stand_errors",
+]

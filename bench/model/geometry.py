@@ -1,0 +1,115 @@
+"""Exact geometry of a block on the platform of a dividing head.
+
+The shaft lies along y of the platform. In the frame of the local level the specific force at rest is
++1 g upwards (the reaction to gravity). The chain, after the paper's (3)-(4) made exact: tilt the
+vertical by the axis tilt alpha1, turn by phi + alpha2 + alpha4 about the shaft, turn by the mounting
+angles, then name the axes of the block by the installation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+STAND_ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll")
+"""The angles that stay fixed while a block stays mounted, in the order of the columns of `stand_errors`.
+
+`axis_tilt` is alpha1, `zero_offset` alpha2, `mounting_error` alpha3 (turn about z of the platform),
+`mounting_offset` a turn about the shaft (it adds to alpha2), `mounting_roll` the third mounting angle
+(turn about x of the platform), which the paper leaves out.
+"""
+
+
+def stand_errors(**angles_rad: float) -> Floats:
+    """Return the stand angles of one mounting as a vector, rad, shape (5,); those not named are zero.
+
+    Raises `KeyError` for a name that is not in `STAND_ANGLES`.
+    """
+    unknown = set(angles_rad) - set(STAND_ANGLES)
+    if unknown:
+        raise KeyError(f"not a stand angle: {', '.join(sorted(unknown))}")
+    return np.array([angles_rad.get(name, 0.0) for name in STAND_ANGLES], dtype=np.float64)
+
+
+def frame_rotation(axis: str, angle_rad: float) -> Floats:
+    """Return the 3x3 matrix that gives components in a frame turned by `angle_rad` about x, y or z."""
+    s, c = np.sin(angle_rad), np.cos(angle_rad)
+    match axis:
+        case "x":
+            rows = [[1, 0, 0], [0, c, s], [0, -s, c]]
+        case "y":
+            rows = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
+        case "z":
+            rows = [[c, s, 0], [-s, c, 0], [0, 0, 1]]
+        case _:
+            raise ValueError(f"an axis is x, y or z, not {axis!r}")
+    return np.array(rows, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Installation:
+    """How the block sits on the platform.
+
+    `block_from_platform` (3x3, a proper rotation) turns components on platform axes into components on
+    block axes. Installation 1 of the paper is the identity, installation 2 names (-x, z, y).
+    """
+
+    label: str
+    block_from_platform: Floats
+
+    @classmethod
+    def from_axes(
+        cls, label: str, axes: Sequence[str], turned_rad: float = 0.0, about: str = "z"
+    ) -> Installation:
+        """Build from the platform axis that each block axis lies along, such as ("-x", "z", "y").
+
+        The block is then turned by `turned_rad` about the platform axis `about` (the paper's psi).
+        Raises `ValueError` when the axes are not a right-handed set.
+        """
+        return cls(label, axes_matrix(axes) @ frame_rotation(about, turned_rad))
+
+
+def axes_matrix(axes: Sequence[str]) -> Floats:
+    """Return the signed permutation for three axis names such as ("-x", "z", "y"), shape (3, 3).
+
+    Raises `ValueError` when a name is unknown, or the three are not a right-handed set.
+    """
+    identity = np.eye(3)
+    unit = {sign + "xyz"[i]: float(sign + "1") * identity[i] for sign in ("", "+", "-") for i in range(3)}
+    for name in axes:
+        if name not in unit:
+            raise ValueError(f"an axis is x, y, z, -x, -y or -z, not {name!r}")
+    matrix = np.array([unit[name] for name in axes], dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.isclose(np.linalg.det(matrix), 1.0):
+        raise ValueError(
+            f"the axes {list(axes)} are not three different ones in a right-handed order "
+            "(installation 1 is [x, y, z], installation 2 is [-x, z, y])"
+        )
+    return matrix
+
+
+INSTALLATION_1: Final = Installation("1", axes_matrix(("x", "y", "z")))
+INSTALLATION_2: Final = Installation("2", axes_matrix(("-x", "z", "y")))
+
+
+def specific_force_on_platform(angle_rad: Floats, stand_rad: Floats) -> Floats:
+    """Return the specific force on the axes of the mounted, error-turned platform, in g, shape (n, 3).
+
+    `angle_rad` (n,) is the true angle of the head, the setting error alpha4 included; `stand_rad` (n, 5)
+    holds the stand angles of each row in the order of `STAND_ANGLES`.
+    Source: paper (3)-(4), exact; first order in the angles it is theirs.
+    """
+    tilt, offset, yaw, pitch, roll = stand_rad.T
+    turned = angle_rad + offset + pitch
+    x = np.sin(turned) * np.cos(tilt)
+    y = np.sin(tilt)
+    z = np.cos(turned) * np.cos(tilt)
+    x, y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
+    y, z = np.cos(roll) * y + np.sin(roll) * z, -np.sin(roll) * y + np.cos(roll) * z
+    return np.stack([x, y, z], axis=-1)

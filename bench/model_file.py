@@ -1,0 +1,225 @@
+"""Model files: which effects a forward model has, with their values. Bench files state effects likewise.
+
+A parameter is written in any unit of its dimension, for all `channels` alike or for each:
+`K2: 60 ug/g^2`, `K2: {value: 60 ug/g^2, u: 4 ug/g^2}`, `K2: {x: 60 ug/g^2, z: {value: …, u: …}}`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bench.model import CATALOGUE, AppliedEffect, Parameter
+from bench.units import Kind, parse_quantity
+from bench.yaml_file import FileMistakes, FileModel, Mistake, load_validated
+from bench.yaml_mistakes import Place, unknown_word
+from drivers.interfaces import CHANNELS, Channel
+
+Floats = NDArray[np.float64]
+
+FORMAT: Final = "1"
+"""Version of the format; a reader refuses any other."""
+
+
+class EffectEntry(FileModel):
+    """One effect of a file: its name in the catalogue, the channels that have it, values of parameters."""
+
+    name: str
+    channels: tuple[Channel, ...] = Field(CHANNELS, min_length=1)
+    parameters: dict[str, Any]
+
+    def applied(self) -> AppliedEffect:
+        """Return the effect with its values in SI. The entry must have passed `effect_mistakes`."""
+        effect = CATALOGUE[self.name]
+        values: dict[str, Floats] = {}
+        u: dict[str, Floats] = {}
+        for parameter in effect.parameters:
+            if parameter.name in self.parameters:
+                read = _Reader(parameter, self.channels)
+                read.all(self.parameters[parameter.name])
+                values[parameter.name] = read.values
+                if read.has_u:
+                    u[parameter.name] = read.u
+        return AppliedEffect(effect, values, self.channels, u)
+
+
+class ModelFile(FileModel):
+    """A model file: `parent` is the model that it was made from, `data_sha256` what it was found in.
+
+    `evidence` is kept as text for the reader of the file; nothing is computed from it.
+    """
+
+    model_file: Literal["1"]
+    name: str
+    parent: str = "paper"
+    data_sha256: str | None = None
+    evidence: dict[str, str] = Field(default_factory=dict)
+    effects: tuple[EffectEntry, ...] = ()
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield the mistakes in the effects."""
+        return effect_mistakes(data.get("effects") if isinstance(data, dict) else None, ("effects",))
+
+    def applied_effects(self) -> tuple[AppliedEffect, ...]:
+        """Return the effects with their values in SI."""
+        return tuple(entry.applied() for entry in self.effects)
+
+
+def load_model(path: Path) -> ModelFile:
+    """Read a model file. Raises `FileMistakes` with every mistake in it."""
+    return load_validated(path, ModelFile)
+
+
+# --- reading effects --------------------------------------------------------------------------------
+
+
+def effect_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong with the names and values of a list of effects as written at `place`."""
+    for index, entry in enumerate(entries if isinstance(entries, list) else []):
+        if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+            continue
+        here = (*place, index)
+        effect = CATALOGUE.get(entry["name"])
+        if effect is None:
+            yield (*here, "name"), unknown_word(entry["name"], sorted(CATALOGUE), "effect")
+            continue
+        given = entry.get("parameters")
+        known = {parameter.name: parameter for parameter in effect.parameters}
+        channels = _channels(entry.get("channels"))
+        for name, written in (given if isinstance(given, dict) else {}).items():
+            inside = (*here, "parameters", name)
+            if name not in known:
+                yield inside, unknown_word(name, list(known), f"parameter of {effect.name}")
+                continue
+            reader = _Reader(known[name], channels)
+            reader.all(written)
+            yield from (((*inside, *where), text) for where, text in reader.problems)
+
+
+def _channels(written: Any) -> tuple[Channel, ...]:
+    """Return the channels as written, all where they cannot be read."""
+    return tuple(c for c in CHANNELS if c in written) if isinstance(written, list) and written else CHANNELS
+
+
+class _Reader:
+    """Reads the value of a parameter; `problems` holds places below it and sentences."""
+
+    def __init__(self, parameter: Parameter, channels: tuple[Channel, ...]) -> None:
+        self._parameter = parameter
+        self._channels = channels
+        unit = "" if parameter.unit == "1" else parameter.unit
+        size = parameter.plausible / parameter.si_per_unit
+        self._kind = Kind(f"a value of {parameter.name}", f"{size:.3g} {unit}".strip(), unit)
+        shape = (3,) if parameter.per_channel else ()
+        self.values: Floats = np.zeros(shape)
+        self.u: Floats = np.zeros(shape)
+        self.has_u = False
+        self.problems: list[tuple[Place, str]] = []
+
+    def all(self, written: Any) -> None:
+        """Read a value for all channels, or a mapping of channels to values."""
+        if not isinstance(written, dict) or not set(written) & set(CHANNELS):
+            rows = [CHANNELS.index(channel) for channel in self._channels]
+            self._one(written, rows if self._parameter.per_channel else (), ())
+            return
+        if not self._parameter.per_channel:
+            text = f"{self._parameter.name} has one value, not one for each channel"
+            self.problems.append(((), text))
+            return
+        for channel, value in written.items():
+            if channel not in CHANNELS:
+                self.problems.append(((channel,), unknown_word(channel, list(CHANNELS), "channel")))
+            elif channel not in self._channels:
+                listed = ", ".join(self._channels)
+                self.problems.append(((channel,), f"channel {channel} is not among the channels ({listed})"))
+            else:
+                self._one(value, [CHANNELS.index(channel)], (channel,))
+
+    def _one(self, written: Any, rows: Sequence[int] | tuple[()], place: Place) -> None:
+        if not isinstance(written, dict):
+            self.values[rows] = self._number(written, place)
+            return
+        for key in written:
+            if key not in {"value", "u"}:
+                self.problems.append(((*place, key), unknown_word(key, ["value", "u", *CHANNELS], "key")))
+        if "value" in written:
+            self.values[rows] = self._number(written["value"], (*place, "value"))
+        else:
+            self.problems.append((place, "'value' is missing"))
+        if "u" in written:
+            self.has_u = True
+            u = self._number(written["u"], (*place, "u"))
+            self.u[rows] = u
+            if u < 0.0:
+                self.problems.append(((*place, "u"), "a standard uncertainty is not negative"))
+
+    def _number(self, written: Any, place: Place) -> float:
+        try:
+            return parse_quantity(written, self._kind) * self._parameter.si_per_unit
+        except ValueError as error:
+            self.problems.append((place, str(error)))
+            return 0.0
+
+
+# --- writing ----------------------------------------------------------------------------------------
+
+
+def write_model_file(
+    path: Path,
+    name: str,
+    effects: Sequence[AppliedEffect],
+    *,
+    parent: str = "paper",
+    data_sha256: str | None = None,
+    evidence: Mapping[str, object] | None = None,
+) -> None:
+    """Write a model file that `load_model` reads back to the same values.
+
+    Raises `FileMistakes` when `path` exists: a model file is never overwritten.
+    """
+    content: dict[str, Any] = {"model_file": int(FORMAT), "name": name, "parent": parent}
+    if data_sha256 is not None:
+        content["data_sha256"] = data_sha256
+    if evidence:
+        content["evidence"] = {key: str(value) for key, value in evidence.items()}
+    content["effects"] = [_written_effect(applied) for applied in effects]
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        problem = "this model file exists and is not overwritten; give another name"
+        raise FileMistakes(path, [Mistake(0, "", problem)]) from None
+
+
+def _written_effect(applied: AppliedEffect) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    for parameter in applied.effect.parameters:
+        if parameter.name not in applied.values:
+            continue
+        value = np.asarray(applied.values[parameter.name], dtype=np.float64)
+        u = applied.u.get(parameter.name)
+        if parameter.per_channel:
+            parameters[parameter.name] = {
+                channel: _written_value(parameter, value[i], None if u is None else u[i])
+                for i, channel in enumerate(CHANNELS)
+                if channel in applied.channels
+            }
+        else:
+            parameters[parameter.name] = _written_value(parameter, value, u)
+    return {"name": applied.effect.name, "channels": list(applied.channels), "parameters": parameters}
+
+
+def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, str]:
+    def text(number: Any) -> str:
+        unit = "" if parameter.unit == "1" else parameter.unit
+        return f"{float(number) / parameter.si_per_unit!r} {unit}".strip()
+
+    return text(value) if u is None else {"value": text(value), "u": text(u)}

@@ -1,0 +1,221 @@
+"""Procedures, `procedures/*.yaml`: read with what they include, checked, expanded to a flat plan."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from bench.bench_file import BenchFile
+from bench.plan import Ask, Mount, Plan, Read, SetTemperature
+from bench.procedure_expansion import Expansion
+from bench.procedure_file import IncludedFile, ProcedureFile
+from bench.yaml_file import Document, FileMistakes, Mistake, load_document, part, validated
+from bench.yaml_mistakes import Place
+
+_INCLUDE: Final = "include"
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """A procedure with the files that it includes; `files` has them in the order of reading, itself first."""
+
+    name: str
+    title: str
+    files: tuple[Path, ...]
+    sha256: str
+    plan: Plan
+
+    def expand(self) -> Plan:
+        """Return the flat plan; it was expanded when the procedure was checked."""
+        return self.plan
+
+
+def load_procedure(path: Path) -> Procedure:
+    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and in what it includes."""
+    tree = _Tree(path)
+    if tree.mistakes:
+        raise FileMistakes(path, sorted(set(tree.mistakes), key=_in_order))
+    root = tree.files[path.resolve()]
+    expansion = Expansion(tree.documents, tree.files)
+    steps = expansion.run(path.resolve())
+    if expansion.mistakes:
+        found = [tree.located(document, mistake) for document, mistake in expansion.mistakes]
+        raise FileMistakes(path, sorted(set(found), key=_in_order))
+    name = root.procedure or path.stem
+    plan = Plan(name, steps, tree.sha256, root.operator_time.to_plan())
+    return Procedure(name, root.title, tuple(d.path for d in tree.documents.values()), tree.sha256, plan)
+
+
+def _in_order(mistake: Mistake) -> tuple[str, int, str, str]:
+    return mistake.file, mistake.line, mistake.place, mistake.text
+
+
+class _Tree:
+    """A procedure file and everything it includes, by resolved path, with the mistakes in all of them."""
+
+    def __init__(self, path: Path) -> None:
+        self.documents: dict[Path, Document] = {}
+        self.files: dict[Path, IncludedFile] = {}
+        self.mistakes: list[Mistake] = []
+        self._root = load_document(path)
+        self._read(self._root, ProcedureFile, ())
+        self._check_scopes(
+            self._root, part(self._root.data, "steps"), ("steps",), _Scope(chain=(path.resolve(),))
+        )
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the bytes of all files together; of one file alone it is the file's own."""
+        digests = [document.sha256 for document in self.documents.values()]
+        return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+
+    def located(self, document: Document, mistake: Mistake) -> Mistake:
+        """Return the mistake with the name of its file, where that is an included one."""
+        return mistake if document is self._root else replace(mistake, file=str(document.path))
+
+    def _read(self, document: Document, model: type[IncludedFile], chain: tuple[Path, ...]) -> None:
+        here = document.path.resolve()
+        self.documents[here] = document
+        try:
+            self.files[here] = validated(document, model)
+        except FileMistakes as error:
+            self.mistakes += [self.located(document, mistake) for mistake in error.mistakes]
+        for place, verb, body in _walk(part(document.data, "steps"), ("steps",)):
+            if verb == _INCLUDE and isinstance(body, str):
+                self._include(document, place, body, (*chain, here))
+
+    def _include(self, document: Document, place: Place, name: str, chain: tuple[Path, ...]) -> None:
+        path = document.path.parent / name
+        problem = ""
+        if path.resolve() in chain:
+            circle = [*chain[chain.index(path.resolve()) :], path]
+            problem = f"the file includes itself: {' → '.join(p.name for p in circle)}"
+        elif path.resolve() not in self.documents:
+            try:
+                included = load_document(path)
+            except FileMistakes as error:
+                if path.is_file():
+                    self.mistakes += [replace(mistake, file=str(path)) for mistake in error.mistakes]
+                else:
+                    problem = str(error)
+            else:
+                self._read(included, IncludedFile, chain)
+        if problem:
+            self.mistakes.append(self.located(document, document.mistake((*place, _INCLUDE), problem)))
+
+    def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
+        """Check that every verb stands where it may; works on what is written, right or wrong."""
+        for entry, verb, body in _entries(steps, place):
+            problem = scope.problem(verb)
+            if problem:
+                self.mistakes.append(self.located(document, document.mistake((*entry, verb), problem)))
+            inner = scope.inside(verb)
+            if verb == _INCLUDE and isinstance(body, str):
+                path = (document.path.parent / body).resolve()
+                if path in self.documents and path not in scope.chain:
+                    included = self.documents[path]
+                    entered = replace(inner, chain=(*scope.chain, path))
+                    self._check_scopes(included, part(included.data, "steps"), ("steps",), entered)
+            else:
+                self._check_scopes(document, part(body, "steps"), (*entry, verb, "steps"), inner)
+
+
+@dataclass(frozen=True)
+class _Scope:
+    """What a step stands in."""
+
+    installation: bool = False
+    turn: bool = False
+    chain: tuple[Path, ...] = field(default=())
+
+    def inside(self, verb: str) -> _Scope:
+        """Return the scope of the steps of a verb."""
+        return replace(
+            self, installation=self.installation or verb == "installation", turn=self.turn or verb == "turn"
+        )
+
+    def problem(self, verb: str) -> str:
+        """Return why a verb cannot stand here, empty where it can."""
+        match verb:
+            case "installation" if self.installation:
+                return "an installation stands inside another; end the first one before it"
+            case "turn" | "read" if not self.installation:
+                return f"a {verb} stands outside of an installation: nobody knows how the block is mounted"
+            case "read" if not self.turn:
+                return "a read stands outside of a turn: put it into the turn's steps"
+            case "turn" | "repeat" if self.turn:
+                return f"a {verb} stands inside the steps of a turn; put it around the turn"
+        return ""
+
+
+def _entries(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
+    """Yield place, verb and body of each step of a list as written."""
+    for index, entry in enumerate(steps if isinstance(steps, list) else []):
+        for verb, body in entry.items() if isinstance(entry, dict) else ():
+            yield (*place, index), verb, body
+
+
+def _walk(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
+    """Yield place, verb and body of each step, those inside others too."""
+    for entry, verb, body in _entries(steps, place):
+        yield entry, verb, body
+        yield from _walk(part(body, "steps"), (*entry, verb, "steps"))
+
+
+# --- against a bench --------------------------------------------------------------------------------
+
+
+def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
+    """Return every reason why a plan cannot be carried out on a bench, one sentence each.
+
+    In a dry run nobody can answer a prompt without a default, so that such a prompt is a reason too.
+    """
+    return [*_installation_problems(plan, bench), *_reading_problems(plan, bench),
+            *_temperature_problems(plan, bench), *(_prompt_problems(plan) if dry_run else ())]  # fmt: skip
+
+
+def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    known = bench.installation_models()
+    first = {step.installation: step.key for step in reversed(plan.steps) if isinstance(step, Mount)}
+    for label, key in reversed(first.items()):
+        if label not in known:
+            listed = ", ".join(known)
+            yield f"step {key}: the bench file has no installation {label} (it has {listed}); state it there"
+
+
+def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    nplc: dict[float, str] = {}
+    samples: dict[int, str] = {}
+    for step in plan.steps:
+        if isinstance(step, Read):
+            nplc.setdefault(step.nplc, step.key)
+            samples.setdefault(step.samples, step.key)
+    for value, key in nplc.items():
+        if value not in bench.nplc_supported:
+            listed = ", ".join(f"{n:g}" for n in bench.nplc_supported)
+            yield f"step {key}: the voltmeters do not integrate over {value:g} NPLC; take one of {listed}"
+    for count, key in samples.items():
+        if count > bench.most_samples:
+            yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
+
+
+def _temperature_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    demands = [step for step in plan.steps if isinstance(step, SetTemperature)]
+    chamber = bench.instruments.chamber
+    if demands and chamber is None:
+        yield f"step {demands[0].key}: the procedure sets temperatures, but the bench file has no chamber"
+    limits = {"the block": bench.unit_under_test.temperature} | ({"the chamber": chamber} if chamber else {})
+    for step in demands:
+        for what, allowed in limits.items():
+            if not allowed.minimum <= step.target_c <= allowed.maximum:
+                span = f"{allowed.minimum:g} to {allowed.maximum:g} °C"
+                yield f"step {step.key}: {step.target_c:g} °C is outside what {what} may be given, {span}"
+
+
+def _prompt_problems(plan: Plan) -> Iterator[str]:
+    for step in plan.steps:
+        if isinstance(step, Ask) and step.default is None:
+            yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; give one"

@@ -1,0 +1,241 @@
+"""What a procedure file may say: a list of steps, each a mapping with one verb.
+
+steps:
+  - wait: {for: 1 h, reason: warm-up}
+  - installation:
+      label: 1
+      steps:
+        - repeat:
+            directions: [rising, falling, rising]
+            steps:
+              - turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
+
+from bench.plan import OperatorTime
+from bench.readings import UNORIENTED
+from bench.units import DURATION, AngleRad, TemperatureC, not_negative
+from bench.yaml_file import FileModel
+from drivers.interfaces import PromptKind
+
+Steps = Annotated[tuple["StepEntry", ...], Field(min_length=1)]
+SpanS = Annotated[float, not_negative(DURATION)]
+DirectionWord = Literal["rising", "falling"]
+Positive = Annotated[int, Field(ge=1)]
+
+VERBS: Final = ("installation", "repeat", "turn", "read", "wait", "prompt", "temperature", "include")
+_TURN_RAD: Final = math.tau + 1e-9
+
+
+def _within_a_turn(angle_rad: float) -> float:
+    if abs(angle_rad) > _TURN_RAD:
+        raise ValueError(f"an angle lies within ±360°, not at {math.degrees(angle_rad):g}°")
+    return angle_rad
+
+
+Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
+
+
+class ReadingSection(FileModel):
+    """How a reading is taken unless a step says otherwise: samples, power-line cycles, settling before it."""
+
+    samples: Positive = 10
+    nplc: Annotated[float, Field(gt=0.0)] = 10.0
+    settle: SpanS = 5.0
+
+
+class OperatorTimeSection(FileModel):
+    """Expected times of the operator, for the estimate of a plan's duration alone."""
+
+    turn: SpanS = 120.0
+    mount: SpanS = 1200.0
+    answer: SpanS = 30.0
+
+    def to_plan(self) -> OperatorTime:
+        """Return the times as a plan holds them."""
+        return OperatorTime(self.turn, self.mount, self.answer)
+
+
+class InstallationVerb(FileModel):
+    """Mount the block; `series` numbers the visits to an installation, by itself where it is left out."""
+
+    label: str
+    series: Positive | None = None
+    steps: Steps
+
+    @field_validator("label")
+    @classmethod
+    def _oriented(cls, label: str) -> str:
+        if label in UNORIENTED:
+            raise ValueError(f"'{label}' stands for readings without orientation and cannot be mounted")
+        if not label.isalnum():
+            raise ValueError(f"a label is letters and digits such as '1' or 'V', not '{label}'")
+        return label
+
+
+class RepeatVerb(FileModel):
+    """Passes: so many `times`, or one for each of `directions`, which then hold for the turns inside."""
+
+    times: Positive | None = None
+    directions: Annotated[tuple[DirectionWord, ...], Field(min_length=1)] | None = None
+    steps: Steps
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> RepeatVerb:
+        if (self.times is None) == (self.directions is None):
+            raise ValueError("a repeat has either 'times' or 'directions'")
+        return self
+
+
+class AngleSteps(FileModel):
+    """Equally spaced angles: the first, the step, how many."""
+
+    start: Angle = Field(alias="from")
+    step: AngleRad
+    count: Annotated[int, Field(ge=1, le=100_000)]
+
+    @model_validator(mode="after")
+    def _end_within_a_turn(self) -> AngleSteps:
+        _within_a_turn(self.start + (self.count - 1) * self.step)
+        return self
+
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """The angles, rad."""
+        return tuple(self.start + i * self.step for i in range(self.count))
+
+
+def _form_of_angles(written: Any) -> str:
+    return "steps of angle" if isinstance(written, dict | AngleSteps) else "list of angles"
+
+
+class TurnVerb(FileModel):
+    """Turn through angles; at each the steps are done, or settling and one reading where there are none.
+
+    Points are numbered from `first_point` in the order of the list; a falling pass visits the list in
+    reverse, and a point keeps its number.
+    """
+
+    angles: Annotated[
+        Annotated[tuple[Angle, ...], Field(min_length=1), Tag("list of angles")]
+        | Annotated[AngleSteps, Tag("steps of angle")],
+        Discriminator(_form_of_angles),
+    ]
+    direction: DirectionWord | None = None
+    first_point: Positive = 1
+    steps: Steps | None = None
+
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """The angles in the order of the list, rad."""
+        return self.angles.angles_rad if isinstance(self.angles, AngleSteps) else self.angles
+
+
+class ReadVerb(FileModel):
+    """Take a reading; what is left out is as in the section `reading`."""
+
+    samples: Positive | None = None
+    nplc: Annotated[float, Field(gt=0.0)] | None = None
+
+
+class WaitVerb(FileModel):
+    """Let bench time pass."""
+
+    duration: SpanS = Field(alias="for")
+    reason: str = "waiting"
+
+
+class PromptVerb(FileModel):
+    """Ask the operator; the answer is recorded. Without a default a dry run cannot answer."""
+
+    kind: PromptKind
+    text: str
+    default: str | None = None
+    unit: Annotated[str, Field(min_length=0)] = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _default_fits(self) -> PromptVerb:
+        if (self.kind is PromptKind.CHOOSE) != bool(self.choices):
+            raise ValueError("a prompt of kind 'choose' has choices, and no other kind has")
+        if self.kind is not PromptKind.NUMBER and not (self.minimum is None and self.maximum is None):
+            raise ValueError("only a prompt of kind 'number' has a minimum and a maximum")
+        if self.default is None:
+            return self
+        if self.kind is PromptKind.CHOOSE and self.default not in self.choices:
+            raise ValueError(f"the default '{self.default}' is not among the choices")
+        if self.kind is PromptKind.CONFIRM and self.default not in {"yes", "no"}:
+            raise ValueError(f"the default of a confirmation is yes or no, not '{self.default}'")
+        if self.kind is PromptKind.NUMBER:
+            self._check_default_number(self.default)
+        return self
+
+    def _check_default_number(self, default: str) -> None:
+        try:
+            value = float(default)
+        except ValueError:
+            raise ValueError(f"the default '{default}' is not a number") from None
+        low = -math.inf if self.minimum is None else self.minimum
+        high = math.inf if self.maximum is None else self.maximum
+        if not low <= value <= high:
+            raise ValueError(f"the default {value:g} is not between {low:g} and {high:g}")
+
+
+class TemperatureVerb(FileModel):
+    """Set the chamber, then let the block soak."""
+
+    at: TemperatureC
+    soak: SpanS = 0.0
+
+
+class StepEntry(FileModel):
+    """One step: exactly one of the verbs."""
+
+    installation: InstallationVerb | None = None
+    repeat: RepeatVerb | None = None
+    turn: TurnVerb | None = None
+    read: ReadVerb | None = None
+    wait: WaitVerb | None = None
+    prompt: PromptVerb | None = None
+    temperature: TemperatureVerb | None = None
+    include: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bare_read(cls, written: Any) -> Any:
+        """`- read:` with nothing after it is a reading as the section `reading` says."""
+        if isinstance(written, dict) and "read" in written and written["read"] is None:
+            return {**written, "read": {}}
+        return written
+
+    @model_validator(mode="after")
+    def _one_verb(self) -> StepEntry:
+        given = [verb for verb in VERBS if getattr(self, verb) is not None]
+        if len(given) != 1:
+            got = f", not {' and '.join(given)} together" if given else ", and this one has none"
+            raise ValueError(f"a step has one of the verbs {', '.join(VERBS)}{got}")
+        return self
+
+
+class IncludedFile(FileModel):
+    """A file that others include: whole procedures can be, and then their own `reading` holds inside."""
+
+    procedure: str | None = None
+    title: str = ""
+    reading: ReadingSection | None = None
+    operator_time: OperatorTimeSection = OperatorTimeSection()
+    steps: Steps
+
+
+class ProcedureFile(IncludedFile):
+    """A procedure file."""
+
+    procedure: str

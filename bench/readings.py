@@ -1,0 +1,130 @@
+"""The table of readings that every analysis works on.
+
+The same for a live run, a recorded run, a file of a laboratory that measured by hand, a simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.model.conditions import Conditions
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Labels = NDArray[np.str_]
+
+VERIFICATION: Final = "V"
+FREE: Final = "F"
+SHORTED: Final = "S"
+REFERENCE: Final = "R"
+UNORIENTED: Final = frozenset({FREE, SHORTED, REFERENCE})
+"""Rows whose head angle means nothing and may be empty."""
+
+UNITS: Final[Mapping[str, str]] = {"v": "V", "counts": "counts", "g": "g", "ms2": "m/s^2"}
+"""Suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2) to the unit as printed."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Columns over n settled readings, in the order of measurement.
+
+    `signal` (n, 3) is in `unit`; `angle_rad` is read back from the scale, `target_rad` what was asked for;
+    both, `time_s` and `temperature_c` are NaN where not given; `direction` is +1, -1 or 0 (not known);
+    `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN where not given.
+    `extra` keeps further columns as text; `notes` says what a reader of the table should know;
+    `skipped` lists rows that were left out on request, with the reason.
+    """
+
+    source: str
+    unit: str
+    series: Ints
+    installation: Labels
+    pass_number: Ints
+    point: Ints
+    angle_rad: Floats
+    target_rad: Floats
+    direction: Ints
+    time_s: Floats
+    temperature_c: Floats
+    signal: Floats
+    signal_sd: Floats
+    samples: Ints
+    extra: Mapping[str, Labels] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+    def select(self, rows: NDArray[np.bool_]) -> Readings:
+        """Return the rows where the mask (n,) is true, in the same order."""
+        columns = {
+            f.name: getattr(self, f.name)[rows]
+            for f in fields(self)
+            if isinstance(getattr(self, f.name), np.ndarray)
+        }
+        return replace(self, **columns, extra={k: v[rows] for k, v in self.extra.items()})
+
+    def oriented(self) -> Readings:
+        """Return the rows that a calibration fits: mounted in an installation, not for verification."""
+        return self.select(~np.isin(self.installation, [VERIFICATION, *UNORIENTED]))
+
+    def verification(self) -> Readings:
+        """Return the rows of the verification points."""
+        return self.select(self.installation == VERIFICATION)
+
+    def conditions(self) -> Conditions:
+        """Return the conditions of the rows for the forward model, at the angles read back."""
+        return Conditions.of(
+            self.installation.tolist(),
+            self.angle_rad,
+            series=self.series.tolist(),
+            pass_number=self.pass_number.tolist(),
+            point=self.point.tolist(),
+            direction=self.direction.tolist(),
+            time_s=self.time_s,
+            temperature_c=self.temperature_c,
+        )
+
+
+def make_readings(
+    installation: list[str],
+    pass_number: list[int],
+    point: list[int],
+    angle_rad: Floats,
+    signal: Floats,
+    *,
+    source: str = "memory",
+    unit: str = "V",
+    target_rad: Floats | None = None,
+    series: list[int] | None = None,
+    direction: list[int] | None = None,
+    time_s: Floats | None = None,
+    temperature_c: Floats | None = None,
+    signal_sd: Floats | None = None,
+    samples: list[int] | None = None,
+) -> Readings:
+    """Build a table from columns; those left out take the values that stand for "not given"."""
+    n = len(installation)
+    unknown = np.full(n, np.nan)
+    return Readings(
+        source=source,
+        unit=unit,
+        series=np.array(series or [1] * n, dtype=np.int64),
+        installation=np.array(installation, dtype=np.str_),
+        pass_number=np.array(pass_number, dtype=np.int64),
+        point=np.array(point, dtype=np.int64),
+        angle_rad=np.asarray(angle_rad, dtype=np.float64),
+        target_rad=unknown if target_rad is None else np.asarray(target_rad, dtype=np.float64),
+        direction=np.array(direction or [0] * n, dtype=np.int64),
+        time_s=unknown if time_s is None else np.asarray(time_s, dtype=np.float64),
+        temperature_c=unknown if temperature_c is None else np.asarray(temperature_c, dtype=np.float64),
+        signal=np.asarray(signal, dtype=np.float64).reshape(n, 3),
+        signal_sd=np.full((n, 3), np.nan) if signal_sd is None else signal_sd.reshape(n, 3),
+        samples=np.array(samples or [1] * n, dtype=np.int64),
+    )

@@ -1,0 +1,148 @@
+"""From the content of a report to one HTML page that needs nothing but itself."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from bench.calibration import Calibration, LackOfFit, Verification
+from bench.report import plots, tables
+from bench.report.content import ReportContent
+from bench.report.numbers import fixed, places, probability, scale_for, two_digits, typeset
+
+FITS: Final = 0.01
+"""Probability of lack of fit below which the page says that model and readings disagree."""
+
+RULES: Final = {
+    "simple acceptance": "passed when |Δg| ≤ limit at every verification point; "
+    "the uncertainty is not taken off the limit (JCGM 106:2012, 8.2)",
+}
+
+
+def render_report(content: ReportContent) -> str:
+    """Return the report as one self-contained HTML page; the same content gives the same text."""
+    environment = Environment(
+        loader=PackageLoader("bench.report", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["typeset"] = typeset
+    calibration, other = content.calibration, content.other
+    return environment.get_template("report.html.j2").render(
+        content=content,
+        calibration=calibration,
+        verdict=verdict(content.verification),
+        fit=fit_in_words(calibration.lack_of_fit),
+        coefficients=_coefficients(calibration),
+        stand=tables.stand(calibration),
+        effects=tables.effects(calibration),
+        noise=tables.noise(calibration),
+        verification=_verification(content.verification),
+        comparison=_comparison(calibration, other) if other else None,
+        residuals={
+            "by_angle": Markup(plots.residuals_by_angle(calibration)),  # noqa: S704 - our own drawing
+            "in_order": Markup(plots.residuals_in_order(calibration)),  # noqa: S704
+        },
+        readings=dict(zip(("unit", "rows"), tables.readings(calibration), strict=True)),
+    )
+
+
+def write_report(content: ReportContent, path: Path) -> None:
+    """Write the report to a file (UTF-8). Raises `OSError` when it cannot be written."""
+    path.write_text(render_report(content), encoding="utf-8")
+
+
+def verdict(verification: Verification | None) -> dict[str, Any]:
+    """Return the verdict in words: `state` (passed, failed, none), the worst point, limit and rule."""
+    if verification is None:
+        return {"state": "none"}
+    worst = max(verification.points, key=lambda p: abs(p.delta_g))
+    scale = scale_for(verification.limit_g, "g")
+    decimals = max(places(worst.u / scale.size), 0)
+    near = sum(tables.near_limit(p.delta_g, p.u, verification.limit_g) for p in verification.points)
+    return {
+        "state": "passed" if verification.passed else "failed",
+        "worst": fixed(abs(worst.delta_g) / scale.size, decimals),
+        "u": two_digits(worst.u / scale.size),
+        "expanded": two_digits(2.0 * worst.u / scale.size),
+        "unit": scale.unit,
+        "where": f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})",
+        "limit": f"{verification.limit_g / scale.size:g}",
+        "rule": verification.rule,
+        "rule_in_words": RULES.get(verification.rule, ""),
+        "near": near,
+        "points": len(verification.points),
+        "outside": sum(not p.passed for p in verification.points),
+    }
+
+
+def fit_in_words(fit: LackOfFit) -> dict[str, Any]:
+    """Return the lack of fit in words: `state` (fits, misfits, unknown), the figures and a sentence."""
+    if not math.isfinite(fit.p):
+        return {
+            "state": "unknown",
+            "figures": "",
+            "short": "cannot be judged: too few repeats",
+            "sentence": "Whether the model fits cannot be judged: the readings hold too few repeats to tell "
+            "misfit from scatter.",
+        }
+    figures = f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}"
+    if fit.p >= FITS:
+        return {
+            "state": "fits",
+            "figures": figures,
+            "short": "the model fits the readings",
+            "sentence": "The model fits: what it leaves is no more than the scatter of the repeats explains; "
+            f"chance alone would leave more in {_percent(fit.p)} of calibrations.",
+        }
+    return {
+        "state": "misfits",
+        "figures": figures,
+        "short": "the model does not fit the readings",
+        "sentence": "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
+        f"alone would leave as much in {_percent(fit.p)} of calibrations. The stated uncertainties do not "
+        "cover what is missing from the model; the residuals show where it acts.",
+    }
+
+
+def _percent(p: float) -> str:
+    if p < 1e-3:
+        return "less than 0.1 %"
+    return f"{100.0 * p:.0f} %" if p >= 0.1 else f"{100.0 * p:.2g} %"
+
+
+def _coefficients(calibration: Calibration) -> dict[str, Any]:
+    base = scale_for(1.0, calibration.unit)
+    return {
+        "matrix": tables.matrix(calibration),
+        "unit": base.unit,
+        "per_g": base.per_g,
+        "groups": tables.coefficient_groups(calibration),
+        "strongest": tables.strongest_correlations(calibration),
+        "figure": Markup(plots.correlations(calibration)),  # noqa: S704 - our own drawing
+        "g": f"{calibration.g_m_s2:.9g}",
+    }
+
+
+def _verification(verification: Verification | None) -> dict[str, Any] | None:
+    if verification is None:
+        return None
+    return {
+        "rows": tables.verification(verification),
+        "unit": scale_for(verification.limit_g, "g").unit,
+        "figure": Markup(plots.verification_points(verification)),  # noqa: S704 - our own drawing
+    }
+
+
+def _comparison(calibration: Calibration, other: Calibration) -> dict[str, Any]:
+    return {
+        "names": (calibration.estimator, other.estimator),
+        "rows": tables.comparison(calibration, other),
+        "figure": Markup(plots.compared_coefficients(calibration, other)),  # noqa: S704 - our own drawing
+    }

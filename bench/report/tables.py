@@ -1,0 +1,292 @@
+"""The tables of the report: numbers rounded and aligned, ready for the page."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from bench.calibration import Calibration, Verification
+from bench.calibration.design import SYMBOLS
+from bench.calibration.result import ARCSEC
+from bench.model.block import COEFFICIENTS
+from bench.model.effects import CATALOGUE
+from bench.report.numbers import (
+    aligned,
+    concise,
+    fixed,
+    places,
+    quantity,
+    rounded,
+    scale_for,
+    two_digits,
+)
+from bench.report.plots import CHANNELS, correlation_matrix, residual_scale
+
+Floats = NDArray[np.float64]
+
+MEANINGS: Final = {
+    "axis_tilt": "axis tilt",
+    "zero_offset": "zero offset",
+    "mounting_error": "mounting error",
+    "mounting_offset": "mounting turn about the shaft",
+    "mounting_roll": "mounting error, third angle",
+}
+SHOWS: Final = 2.0
+"""A stand angle shows in the data when it is more than this many of its u away from nothing."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table: what it is about (may hold markup) and its cells; `bad` sets it apart."""
+
+    head: str
+    cells: tuple[str, ...]
+    bad: bool = False
+
+
+def symbol(name: str) -> Markup:
+    """Return a coefficient's name as the page sets it: K with its indices below."""
+    if name.startswith("U0"):
+        return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
+    return Markup("<i>K</i><sub>{}</sub>").format(name[1:])
+
+
+# --- coefficients -----------------------------------------------------------------------------------
+
+
+def matrix(calibration: Calibration) -> list[list[str]]:
+    """Return K and, as a fourth column, U0 in concise notation."""
+    both = [concise(float(v), float(u)) for v, u in zip(calibration.block.vector, calibration.u, strict=True)]
+    return [[*both[3 * i : 3 * i + 3], both[9 + i]] for i in range(3)]
+
+
+def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
+    """Return scale factors, cross-axis terms and biases: value, its unit, u, U (k = 2), unit, other terms."""
+    vector, u = calibration.block.vector, calibration.u
+    scale = scale_for(float(np.max(u)), calibration.unit)
+    base = scale_for(1.0, calibration.unit)
+    values = aligned([rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)])
+    standard = aligned([two_digits(float(s) / scale.size) for s in u])
+    expanded = aligned([two_digits(2.0 * float(s) / scale.size) for s in u])
+    groups: list[tuple[str, list[Row]]] = []
+    for title, members in (
+        ("Scale factors", [0, 4, 8]),
+        ("Cross-axis terms", [1, 2, 3, 5, 6, 7]),
+        ("Biases", [9, 10, 11]),
+    ):
+        others = aligned([_in_other_terms(calibration, j)[0] for j in members])
+        rows = [
+            Row(
+                symbol(COEFFICIENTS[j]),
+                (
+                    values[j],
+                    base.unit if j >= 9 else base.per_g,
+                    standard[j],
+                    expanded[j],
+                    scale.unit if j >= 9 else scale.per_g,
+                    other,
+                    _in_other_terms(calibration, j)[1],
+                ),
+            )
+            for j, other in zip(members, others, strict=True)
+        ]
+        groups.append((title, rows))
+    return groups
+
+
+def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
+    """Relative u of a scale factor, ppm; a cross-axis term as an angle, arcsec; a bias as acceleration."""
+    vector, u = calibration.block.vector, calibration.u
+    own = 4 * (j // 3 if j < 9 else j - 9)
+    if j == own:
+        return two_digits(abs(float(u[j] / vector[j])) * 1e6), "ppm"
+    ratio, u_ratio = _ratio(calibration, j, own)
+    if j < 9:
+        return concise(ratio / ARCSEC, u_ratio / ARCSEC), "″"
+    scale = scale_for(ratio, "g")
+    return concise(ratio / scale.size, u_ratio / scale.size), scale.unit
+
+
+def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
+    """Ratio of two coefficients with its u, their covariance included."""
+    vector, covariance = calibration.block.vector, calibration.covariance
+    ratio = vector[j] / vector[own]
+    variance = covariance[j, j] + ratio**2 * covariance[own, own] - 2.0 * ratio * covariance[j, own]
+    return float(ratio), float(np.sqrt(max(variance, 0.0)) / abs(vector[own]))
+
+
+def strongest_correlations(calibration: Calibration, count: int = 5) -> list[tuple[Markup, Markup, str]]:
+    """Return the pairs of coefficients that hang together most, with their correlation."""
+    r = correlation_matrix(calibration)
+    pairs = sorted(
+        ((i, j) for i in range(12) for j in range(i)), key=lambda pair: (-abs(r[pair]), pair[1], pair[0])
+    )
+    return [
+        (symbol(COEFFICIENTS[j]), symbol(COEFFICIENTS[i]), fixed(float(r[i, j]), 2, sign=True))
+        for i, j in pairs[:count]
+    ]
+
+
+def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
+    """Return both estimates and their difference for each coefficient."""
+    difference = compared.block.vector - calibration.block.vector
+    scale = scale_for(float(np.max(np.abs(difference))), calibration.unit)
+    shown = [
+        rounded(float(d) / scale.size, float(u) / scale.size, sign=True)
+        for d, u in zip(difference, np.maximum(calibration.u, compared.u), strict=True)
+    ]
+    columns = (
+        [concise(float(v), float(u)) for v, u in zip(calibration.block.vector, calibration.u, strict=True)],
+        [concise(float(v), float(u)) for v, u in zip(compared.block.vector, compared.u, strict=True)],
+        shown,
+    )
+    base = scale_for(1.0, calibration.unit)
+    cells = list(zip(*(aligned(column) for column in columns), strict=True))
+    return [
+        Row(
+            symbol(name),
+            (
+                row[0], row[1], base.unit if j >= 9 else base.per_g,
+                row[2], scale.unit if j >= 9 else scale.per_g,
+            ),
+        )
+        for j, (name, row) in enumerate(zip(COEFFICIENTS, cells, strict=True))
+    ]  # fmt: skip
+
+
+# --- stand and effects ------------------------------------------------------------------------------
+
+
+def stand(calibration: Calibration) -> list[Row]:
+    """Return the stand's angles: meaning, estimate, u, how many u from nothing, and that in words."""
+    estimates = list(calibration.stand.values())
+    pulls = [e.value / e.u if e.u > 0 else float("nan") for e in estimates]
+    columns = (
+        aligned([rounded(e.value, e.u, sign=True) for e in estimates]),
+        aligned([two_digits(e.u) for e in estimates]),
+        aligned([fixed(pull, 1, sign=True) for pull in pulls]),
+    )
+    return [
+        Row(_stand_angle(name), (*cells, _in_words(pull)))
+        for name, cells, pull in zip(calibration.stand, zip(*columns, strict=True), pulls, strict=True)
+    ]
+
+
+def _stand_angle(name: str) -> Markup:
+    """Name a stand angle: "alpha3[2]" is α₃, the mounting error in installation 2."""
+    parts = re.fullmatch(r"(?P<symbol>\w+)\[(?P<mount>.*)\]", name)
+    if parts is None:
+        return Markup("{}").format(name)
+    of = parts["symbol"]
+    meaning = {symbol: MEANINGS[angle] for angle, symbol in SYMBOLS.items()}.get(of, of)
+    letter = (
+        Markup("<i>α</i><sub>{}</sub> ").format(of.removeprefix("alpha")) if of.startswith("alpha") else ""
+    )
+    return Markup("{}{}, installation {}").format(letter, meaning, parts["mount"])
+
+
+def _in_words(pull: float) -> str:
+    if not np.isfinite(pull):
+        return "–"
+    return "shows in the data" if abs(pull) > SHOWS else "not told from zero"
+
+
+def effects(calibration: Calibration) -> list[Row]:
+    """Return the fitted parameters of the model's effects: estimate, u, unit, what the effect is."""
+    rows = []
+    for name, e in calibration.effects.items():
+        known = CATALOGUE.get(name.split(".")[0])
+        unit = e.unit.replace("ug", "µg").replace("^2", "²").replace("^3", "³").replace("arcsec", "″")
+        sentence = known.sentence if known else ""
+        rows.append(Row(name, (rounded(e.value, e.u, sign=True), two_digits(e.u), unit, sentence)))
+    return rows
+
+
+# --- verification and readings ----------------------------------------------------------------------
+
+
+def verification(result: Verification) -> list[Row]:
+    """Return the verification points: angle, modulus, Δg, u, U (k = 2), part of the limit, verdict."""
+    scale = scale_for(result.limit_g, "g")
+    rows = []
+    for p in result.points:
+        decimals = max(places(p.u / scale.size), 0)
+        rows.append(
+            Row(
+                f"{p.pass_number} / {p.point}",
+                (
+                    f"{p.angle_deg:.4f}",
+                    rounded(p.g_p, p.u),
+                    fixed(p.delta_g / scale.size, decimals, sign=True),
+                    two_digits(p.u / scale.size),
+                    two_digits(2.0 * p.u / scale.size),
+                    f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
+                    _point_in_words(p.passed, near_limit(p.delta_g, p.u, result.limit_g)),
+                ),
+                bad=not p.passed,
+            )
+        )
+    return rows
+
+
+def near_limit(delta_g: float, u: float, limit_g: float) -> bool:
+    """Whether the limit lies within U (k = 2) of the error: the verdict could then be otherwise."""
+    return abs(abs(delta_g) - limit_g) < 2.0 * u
+
+
+def _point_in_words(passed: bool, near: bool) -> str:
+    verdict = "within" if passed else "outside"
+    return f"{verdict}, limit within U" if near else verdict
+
+
+def readings(calibration: Calibration) -> tuple[str, list[Row]]:
+    """Return the unit of the residuals and a row for each fitted reading, in the order of measurement.
+
+    Cells: mounting, pass, point, angle, direction, time, temperature, three signals, three residuals.
+    """
+    fitted = calibration.fitted
+    conditions = fitted.conditions()
+    scale = residual_scale(calibration)
+    signal_places = max(places(calibration.noise.reading), 0)
+    residual_places = max(places(calibration.noise.reading / scale.size), 0)
+    rows = []
+    for j in range(len(fitted)):
+        time_s, temperature_c = float(fitted.time_s[j]), float(fitted.temperature_c[j])
+        rows.append(
+            Row(
+                str(j + 1),
+                (
+                    str(conditions.mounts[conditions.mount[j]]),
+                    str(fitted.pass_number[j]),
+                    str(fitted.point[j]),
+                    fixed(float(np.degrees(fitted.angle_rad[j])), 4),
+                    {1: "↑", -1: "↓"}.get(int(fitted.direction[j]), "–"),
+                    fixed(time_s, 0),
+                    fixed(temperature_c, 2),
+                    *(fixed(float(v), signal_places) for v in fitted.signal[j]),
+                    *(
+                        fixed(float(v) / scale.size, residual_places, sign=True)
+                        for v in calibration.residuals[j]
+                    ),
+                ),
+            )
+        )
+    return scale.unit, rows
+
+
+def noise(calibration: Calibration) -> dict[str, str]:
+    """Return the noise sizes, where they come from, and the root mean square of the residuals."""
+    of = calibration.noise
+    return {
+        "reading": quantity(of.reading, calibration.unit),
+        "setting": f"{two_digits(of.setting_rad / ARCSEC)}″",
+        "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
+        "source": of.source,
+        "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
+        "channels": ", ".join(CHANNELS),
+    }

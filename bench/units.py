@@ -1,0 +1,178 @@
+"""Quantities with units in files ("90 arcsec", "0.3 mV", "-2.18 V/g") to SI floats.
+
+`g` is the unit of local gravity, never the gram. A temperature is in degrees Celsius and stays so; `K` is
+a difference of temperatures, good for "60 ug/K" and nothing else.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Annotated, Final
+
+from pydantic import BeforeValidator
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+_DEFINITIONS: Final = (
+    "nano- = 1e-9 = n-",
+    "micro- = 1e-6 = u-",
+    "milli- = 1e-3 = m-",
+    "meter = [length] = m",
+    "second = [time] = s",
+    "minute = 60 second = min",
+    "hour = 3600 second = h",
+    "day = 86400 second = d",
+    "hertz = 1 / second = Hz",
+    "volt = [voltage] = V",
+    "radian = [angle] = rad",
+    f"degree = {math.pi!r} / 180 radian = deg",
+    f"arcminute = {math.pi!r} / 10800 radian = arcmin",
+    f"arcsecond = {math.pi!r} / 648000 radian = arcsec",
+    "degree_Celsius = [celsius] = degC",
+    "kelvin = degree_Celsius = K",
+    "local_gravity = [gravity] = g",
+    "percent = 0.01",
+    "ppm = 1e-6",
+)
+"""Only what a bench needs: a short list refuses slips (kg, mT) that a general one would take."""
+
+_UNITS: Final = ("V", "mV", "uV", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "s", "ms", "min", "h",
+                 "d", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm", "percent")  # fmt: skip
+
+_QUANTITY: Final = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*?)\s*")
+_UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?\d)?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?\d)?)*")
+_SPELLINGS: Final = (
+    ("°C", "degC"), ("℃", "degC"), ("°", "deg"), ("″", "arcsec"), ("′", "arcmin"), ("%", "percent"),
+    ("µ", "u"), ("μ", "u"), ("²", "^2"), ("³", "^3"), ("·", "*"), ("**", "^"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A physical quantity as files state it: what it is called, an example, the SI unit of the float.
+
+    `only` lists the spellings of the unit that are allowed, where not all of the same dimension are.
+    """
+
+    called: str
+    example: str
+    si: str
+    only: tuple[str, ...] = ()
+
+    @property
+    def expected(self) -> str:
+        """The beginning of the sentence that refuses a value."""
+        return f"expected {self.called} such as '{self.example}'"
+
+
+ANGLE: Final = Kind("an angle", "90 arcsec", "rad")
+VOLTAGE: Final = Kind("a voltage", "0.3 mV", "V")
+DURATION: Final = Kind("a duration", "30 s", "s")
+TEMPERATURE: Final = Kind("a temperature", "23 degC", "degC", only=("degC",))
+SCALE_FACTOR: Final = Kind("a scale factor with its sign", "-2.18 V/g", "V/g")
+ACCELERATION: Final = Kind("an acceleration in local gravity", "3e-4 g", "g")
+GRAVITY: Final = Kind("an acceleration", "9.81 m/s^2", "m/s^2")
+LENGTH: Final = Kind("a length", "180 m", "m")
+FREQUENCY: Final = Kind("a frequency", "50 Hz", "Hz")
+RATIO: Final = Kind("a plain number", "0.01", "")
+
+
+@cache
+def _registry() -> UnitRegistry[float]:
+    """Build the registry on first use: importing pint costs more than everything else here."""
+    from pint import UnitRegistry
+
+    registry: UnitRegistry[float] = UnitRegistry(None)
+    for definition in _DEFINITIONS:
+        registry.define(definition)
+    return registry
+
+
+@lru_cache(maxsize=256)
+def _factor(unit: str, si: str) -> float | None:
+    """Return how many `si` one `unit` is, or None when they are not of the same dimension.
+
+    Raises `ValueError` for a unit that is not known.
+    """
+    registry = _registry()
+    for name in re.findall(r"[A-Za-z_]+", unit):
+        if name not in registry:
+            near = difflib.get_close_matches(name, _UNITS, n=1)
+            hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
+            raise ValueError(f"unknown unit '{name}'{hint}")
+    one = registry.Quantity(1.0, registry.parse_units(unit))
+    wanted = registry.parse_units(si)
+    return float(one.to(wanted).magnitude) if one.is_compatible_with(wanted) else None
+
+
+def parse_quantity(text: object, kind: Kind) -> float:
+    """Return the value in the SI unit of `kind`, for a text such as "90 arcsec".
+
+    Raises `ValueError` with one sentence for anything else: no number, no unit, an unknown unit, a unit of
+    another dimension, a number too large to hold.
+    """
+    if not isinstance(text, str):
+        got = {dict: "a mapping", list: "a list", type(None): "nothing"}.get(type(text), repr(text))
+        raise ValueError(f"{kind.expected}, got {got}")
+    match = _QUANTITY.fullmatch(text.replace("−", "-"))
+    if match is None:
+        raise ValueError(f"{kind.expected}, got '{text}'")
+    unit = match["unit"]
+    for written, plain in _SPELLINGS:
+        unit = unit.replace(written, plain)
+    if not unit and kind.si:
+        raise ValueError(f"{kind.expected}, got '{text}' without a unit")
+    factor = _factor_of(unit, kind, text)
+    if factor is None or (kind.only and unit not in kind.only):
+        raise ValueError(f"{kind.expected}, got '{text}'")
+    value = float(match["number"]) * factor
+    if not math.isfinite(value):
+        raise ValueError(f"{kind.expected}, got '{text}', which is too large")
+    return value
+
+
+def _factor_of(unit: str, kind: Kind, text: str) -> float | None:
+    if not unit:
+        return 1.0
+    if _UNIT.fullmatch(unit) is None:
+        return None
+    try:
+        return _factor(unit, kind.si)
+    except ValueError as error:
+        raise ValueError(f"{kind.expected}, got '{text}' ({error})") from None
+
+
+def _reads(kind: Kind) -> BeforeValidator:
+    def read(value: object) -> float:
+        return parse_quantity(value, kind)
+
+    return BeforeValidator(read)
+
+
+AngleRad = Annotated[float, _reads(ANGLE)]
+VoltageV = Annotated[float, _reads(VOLTAGE)]
+DurationS = Annotated[float, _reads(DURATION)]
+TemperatureC = Annotated[float, _reads(TEMPERATURE)]
+ScaleFactor = Annotated[float, _reads(SCALE_FACTOR)]
+AccelerationG = Annotated[float, _reads(ACCELERATION)]
+AccelerationMS2 = Annotated[float, _reads(GRAVITY)]
+LengthM = Annotated[float, _reads(LENGTH)]
+FrequencyHz = Annotated[float, _reads(FREQUENCY)]
+Ratio = Annotated[float, _reads(RATIO)]
+
+
+def not_negative(kind: Kind) -> BeforeValidator:
+    """Return the validator of a size that has no sign: `Annotated[float, not_negative(DURATION)]`."""
+
+    def read(value: object) -> float:
+        number = parse_quantity(value, kind)
+        if number < 0.0:
+            raise ValueError(f"{kind.expected}, not negative, got '{value}'")
+        return number
+
+    return BeforeValidator(read)

@@ -1,0 +1,1 @@
+"""Instrument drivers behind abstract interfaces; nothing here knows the bench application."""

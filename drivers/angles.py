@@ -1,0 +1,114 @@
+"""Angles as an operator reads and types them: degrees, minutes and seconds of arc, to and from radians."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Final
+
+EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
+
+_MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
+"""For each place (degrees, minutes, seconds) its mark and what keyboards offer in its stead."""
+
+_PART: Final = re.compile(r"(?P<number>\d+(?P<decimals>\.\d+)?)(?P<mark>\s*[^\s\d.]*)\s*")
+
+_SLIPS: Final = (
+    (10.0, "the tens of degrees are one off (10°)"),
+    (1.0, "the degree line is one off (1°)"),
+    (10.0 / 60.0, "the tens of minutes are one off (10′)"),
+    (1.0 / 60.0, "the minute line is one off (1′)"),
+    (180.0, "the opposite side of the circle was read (180°)"),
+)
+
+
+def wrapped_rad(angle_rad: float) -> float:
+    """Return the same place of the circle in (-π, π], rad."""
+    wrapped = math.remainder(angle_rad, math.tau)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+def parse_angle(text: str) -> float:
+    """Return the angle in rad that a person typed, such as `45 00 10`, `45°00'10"`, `45:00:10`, `45,0028`.
+
+    Only the last of the parts may have decimals, with a dot or a comma; minutes and seconds stay below 60
+    and the angle within one turn. Raises `ValueError` with one sentence and an example.
+    """
+    stripped = text.strip().replace("−", "-").replace("''", "″").replace("′′", "″")
+    sign, body = (stripped[0], stripped[1:].lstrip()) if stripped[:1] in {"-", "+"} else ("+", stripped)
+    body = re.sub(r"(?<=\d),(?=\d)", ".", body)
+    parts = _parts(body)
+    if parts is None:
+        raise ValueError(f"{text!r} is not an angle: type degrees, minutes, seconds such as {EXAMPLE}")
+    if any(part >= 60.0 for part in parts[1:]):
+        raise ValueError(
+            f"{text!r} has minutes or seconds of 60 or more: type them below 60, such as {EXAMPLE}"
+        )
+    degrees = math.fsum(part / scale for part, scale in zip(parts, (1.0, 60.0, 3600.0), strict=False))
+    if degrees >= 361.0:
+        raise ValueError(f"{text!r} is more than one turn: type what the scale shows, such as {EXAMPLE}")
+    return math.radians(-degrees if sign == "-" else degrees)
+
+
+def _parts(body: str) -> tuple[float, ...] | None:
+    """Return one to three numbers with fitting marks, or None where the text is anything else."""
+    numbers: list[float] = []
+    position = 0
+    while position < len(body):
+        match = _PART.match(body, position)
+        if match is None or len(numbers) == 3:
+            return None
+        mark = match["mark"].strip()
+        last = match.end() == len(body)
+        if mark and (len(mark) > 1 or mark not in _MARKS[len(numbers)][1] or (mark == ":" and last)):
+            return None
+        if match["decimals"] and not last:
+            return None
+        if not last and not mark and match.end() == match.end("number"):
+            return None  # "1.5.2": two numbers run into each other
+        numbers.append(float(match["number"]))
+        position = match.end()
+    return tuple(numbers) or None
+
+
+def format_dms(angle_rad: float, decimals: int = 0) -> str:
+    """Return the angle as `45°00′10″`, with `decimals` digits after the seconds; never prints 60″."""
+    scale = 10**decimals
+    ticks = round(abs(math.degrees(angle_rad)) * 3600.0 * scale)
+    seconds, fraction = divmod(ticks, scale)
+    minutes, seconds = divmod(seconds, 60)
+    degrees, minutes = divmod(minutes, 60)
+    sign = "-" if angle_rad < 0.0 and ticks else ""
+    tail = f".{fraction:0{decimals}d}" if decimals else ""
+    return f"{sign}{degrees}°{minutes:02d}′{seconds:02d}{tail}″"
+
+
+def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
+    """Return in words the classic slip that explains `read_rad` where `target_rad` was set, or None.
+
+    A slip explains a reading that lies within `tolerance_rad` of where the slip would put it: a line of
+    the scale one off (10°, 1°, 10′, 1′), the opposite side, 360° - x, two digits swapped.
+    """
+    difference = wrapped_rad(read_rad - target_rad)
+    if abs(difference) <= tolerance_rad:
+        return None
+    candidates = [(abs(abs(difference) - math.radians(size)), words) for size, words in _SLIPS]
+    candidates.append((abs(wrapped_rad(read_rad + target_rad)), "360° - x was read instead of x"))
+    miss, words = min(candidates, key=lambda candidate: candidate[0])
+    if miss <= tolerance_rad:
+        return words
+    return "two digits are swapped" if _digits_swapped(read_rad, target_rad) else None
+
+
+def _digits_swapped(read_rad: float, target_rad: float) -> bool:
+    """Tell whether one part (degrees, minutes) has two neighbouring digits swapped and the other agrees."""
+    read, target = (
+        re.findall(r"\d+", format_dms(angle)) for angle in (read_rad % math.tau, target_rad % math.tau)
+    )
+    for place in (0, 1):
+        rest_agrees = read[1 - place] == target[1 - place]
+        a, b = read[place].zfill(3), target[place].zfill(3)
+        swaps = {b[:i] + b[i + 1] + b[i] + b[i + 2 :] for i in (0, 1)}
+        if rest_agrees and a != b and a in swaps:
+            return True
+    return False

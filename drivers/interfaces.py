@@ -1,0 +1,222 @@
+"""What the application may ask of an instrument or of a person, and how they fail.
+
+Small one-verb protocols: the application knows these and never a concrete driver.
+Angles are radians, voltages volts, temperatures degrees Celsius, times seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Literal, Protocol, runtime_checkable
+
+Channel = Literal["x", "y", "z"]
+CHANNELS: tuple[Channel, Channel, Channel] = ("x", "y", "z")
+
+Direction = Literal[1, -1]
+"""Approach to an angle: +1 rising, -1 falling."""
+
+
+# --- errors -----------------------------------------------------------------------------------------
+
+
+class BenchError(Exception):
+    """Something went wrong that a person can do something about.
+
+    `instrument` is the name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what to do.
+    The text is one sentence with all three.
+    """
+
+    def __init__(self, instrument: str, cause: str, remedy: str) -> None:
+        super().__init__(f"{instrument}: {cause}; {remedy}")
+        self.instrument = instrument
+        self.cause = cause
+        self.remedy = remedy
+
+
+class InstrumentLost(BenchError):
+    """The instrument does not answer: absent, refused, cut off, or silent past its timeout."""
+
+
+class InstrumentRefused(BenchError):
+    """The instrument answered, and said no: wrong identity, an error in its queue, a setting not taken."""
+
+
+class BadReading(BenchError):
+    """An answer that is not a reading: overload, a cut or garbled reply."""
+
+
+class LimitExceeded(BenchError):
+    """A demand outside what the instrument or the unit under test may be given."""
+
+
+class NotConnected(BenchError):
+    """One or more instruments could not be opened; `failures` holds all of them."""
+
+    def __init__(self, failures: Sequence[BenchError]) -> None:
+        self.failures = tuple(failures)
+        super().__init__(
+            ", ".join(f.instrument for f in failures),
+            "not connected: " + " | ".join(str(f) for f in failures),
+            "mend these and start again",
+        )
+
+
+class NoAnswer(BenchError):
+    """The person (or the script that stands for one) gave no answer to a prompt."""
+
+
+# --- the person -------------------------------------------------------------------------------------
+
+
+class PromptKind(StrEnum):
+    """What sort of answer a prompt wants."""
+
+    CONFIRM = "confirm"
+    CHOOSE = "choose"
+    NUMBER = "number"
+    ANGLE = "angle"
+
+
+@dataclass(frozen=True, slots=True)
+class Prompt:
+    """A question as a value: it can be shown in a terminal, on a page, or answered by a script.
+
+    `id` names the step and the attempt that ask ("12/turn#1"); an answer to another id is stale.
+    `default` is what an empty answer means; a prompt without one cannot be answered in a dry run
+    except by the scripted operator. `action` is the machine-readable task, for example
+    `{"do": "turn", "target_rad": 0.785, "direction": 1}`.
+    """
+
+    id: str
+    kind: PromptKind
+    text: str
+    default: str | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    minimum: float | None = None
+    maximum: float | None = None
+    action: Mapping[str, object] = field(default_factory=dict)
+    picture: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the person said to the prompt of that `id`; the text as typed."""
+
+    prompt_id: str
+    text: str
+
+
+class Person(Protocol):
+    """Who is asked: a terminal, a panel, a scripted operator."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Put the prompt and wait for the answer.
+
+        Raises `NoAnswer` when there is nobody (left) to answer.
+        """
+        ...
+
+
+# --- instruments ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who an instrument says it is, for the record: `{"maker": "HEWLETT-PACKARD", "model": "34401A", …}`."""
+
+    maker: str
+    model: str
+    serial: str = ""
+    firmware: str = ""
+
+    def __str__(self) -> str:
+        return " ".join(part for part in (self.maker, self.model, self.serial, self.firmware) if part)
+
+
+class Instrument(Protocol):
+    """Anything on the bench that is opened, identified, and left safe."""
+
+    name: str
+
+    def open(self) -> Identity:
+        """Connect, prove the identity and return it. Raises `InstrumentLost` or `InstrumentRefused`."""
+        ...
+
+    def close(self) -> None:
+        """Leave the instrument safe and in local, and let it go. Never raises, may be called twice."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class VoltmeterSettings:
+    """How a voltmeter reads: range in volts, integration in power-line cycles, samples per reading."""
+
+    range_v: float
+    nplc: float
+    samples: int
+
+
+@runtime_checkable
+class Voltmeter(Instrument, Protocol):
+    """One or more signals in volts, sampled on command.
+
+    `start` and `fetch` are apart so that several meters are started before the first is waited for:
+    the three signals are then sampled together.
+    """
+
+    channels: tuple[Channel, ...]
+    """The signals that this instrument carries, in the order in which it scans them."""
+
+    def configure(self, settings: VoltmeterSettings) -> None:
+        """Apply the settings and prove that they were taken. Raises `InstrumentRefused`, `InstrumentLost`."""
+        ...
+
+    def start(self) -> None:
+        """Begin one reading of `samples` samples."""
+        ...
+
+    def fetch(self) -> dict[Channel, tuple[float, ...]]:
+        """Wait for the reading and return the samples in volts, `{"x": (1.2, 1.2)}`.
+
+        Raises `BadReading` for an overload or anything that is not a number, `InstrumentLost`.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class HeadPosition:
+    """Where the head stands by its own scale, and from which side it came."""
+
+    angle_rad: float
+    direction: Direction
+
+
+@runtime_checkable
+class DividingHead(Instrument, Protocol):
+    """A shaft that is turned to an angle from a stated side."""
+
+    def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
+        """Turn to `target_rad`, arriving with rising (+1) or falling (-1) angle; return the angle read back.
+
+        `key` names the step that asks. Raises `LimitExceeded`, `InstrumentLost`, `NoAnswer`.
+        """
+        ...
+
+
+@runtime_checkable
+class ThermalChamber(Instrument, Protocol):
+    """A chamber that holds a temperature."""
+
+    asks_person: bool
+    """Whether `temperature` costs a person an answer: then it is asked at each mounting only."""
+
+    def set_temperature(self, target_c: float, key: str) -> None:
+        """Demand a temperature, °C. Raises `LimitExceeded` before anything is sent, `InstrumentLost`."""
+        ...
+
+    def temperature(self, key: str) -> float:
+        """Return the temperature at the block (or of the air, where that is all there is), °C."""
+        ...

@@ -1,0 +1,249 @@
+"""One connection through pyvisa-py, made honest: what the library leaves open or hidden is settled here.
+
+As of pyvisa-py 0.8.1: a refused connection counts as open until the first write; VI_ATTR_TCPIP_NODELAY
+cannot be set; a read from a socket whose peer has gone waits busily for the whole timeout; opening may
+block for as long as a name server does; a closed session is kept for ever. Foreign exceptions pass through.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import select
+import socket
+import threading
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, Final, Literal, cast
+
+import pyvisa
+from pyvisa import constants
+from pyvisa.resources import GPIBInstrument, MessageBasedResource, SerialInstrument, TCPIPSocket
+
+from drivers.clock import Clock, SystemClock
+
+_QUIET_S: Final = 0.1
+_OPENING_MARGIN_S: Final = 0.5
+_CHUNK_BYTES: Final = 4096
+
+_FLOW: Final = {
+    "none": constants.ControlFlow.none,
+    "xon_xoff": constants.ControlFlow.xon_xoff,
+    "rts_cts": constants.ControlFlow.rts_cts,
+    "dtr_dsr": constants.ControlFlow.dtr_dsr,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SerialSettings:
+    """How a serial port speaks; the defaults are a 34401A set to 9600 baud, no parity.
+
+    `flow` "dtr_dsr" leaves DTR asserted, as the meter wants it; the pacing itself is the port's business.
+    `device_clear` is sent to a port after a lost reply, to stop the instrument from sending it still.
+    Source: 34401A User's Guide, chapter 4, RS-232 interface configuration.
+    """
+
+    baud_rate: int = 9600
+    data_bits: Literal[7, 8] = 8
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 2
+    flow: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] = "dtr_dsr"
+    device_clear: bytes = b"\x03"
+
+    @property
+    def character_time_s(self) -> float:
+        """Time that one character takes on the line, start bit included, s."""
+        bits = 1 + self.data_bits + (self.parity != "none") + self.stop_bits
+        return bits / self.baud_rate
+
+
+class Connection:
+    """An open resource. `by_bytes` tells whether single bytes can be waited for.
+
+    Sockets and serial ports are read as bytes arrive; GPIB, USB and VXI-11 deliver whole messages.
+    """
+
+    def __init__(self, visa: MessageBasedResource) -> None:
+        self._visa = visa
+        self._interface = _interface(visa)
+        self._clock: Clock = SystemClock()
+        self.by_bytes = _has_fileno(self._interface)
+
+    @classmethod
+    def open(
+        cls, resource: str, *, timeout_s: float, read_termination: str, serial: SerialSettings
+    ) -> Connection:
+        """Open `resource`, prove that somebody is there and set the port up, within `timeout_s` (+ 0.5 s)."""
+        connection = cls(_open_in_time(resource, timeout_s))
+        try:
+            connection._prove_and_tune()
+            connection._set_up(timeout_s, read_termination, serial)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def close(self) -> None:
+        """Close for certain: the port itself where pyvisa will not. Never raises."""
+        _discard(self._visa)
+
+    def interrupt(self) -> None:
+        """End another thread's wait on a socket, which closing alone would not. Never raises."""
+        if isinstance(self._interface, socket.socket):
+            with contextlib.suppress(OSError):
+                self._interface.shutdown(socket.SHUT_RDWR)
+
+    def send(self, data: bytes, timeout_s: float) -> bool:
+        """Send the bytes; return False when the peer takes none within `timeout_s`.
+
+        Looked at beforehand on a socket, where pyvisa-py would wait without end.
+        """
+        if isinstance(self._interface, socket.socket):
+            writable = select.select([], [self._interface], [], timeout_s)[1]
+            if not writable:
+                return False
+        self._visa.write_raw(data)
+        return True
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether bytes, or the end of the connection, come within `timeout_s`; needs `by_bytes`."""
+        return bool(select.select([self._interface], [], [], timeout_s)[0])
+
+    def take(self) -> tuple[bytes, bool]:
+        """Return what has arrived, up to the end of a line, and whether more stands behind that end.
+
+        To be called when `wait` has said yes; no bytes at all mean that the peer has closed.
+        """
+        if isinstance(self._interface, socket.socket):
+            arrived = len(self._interface.recv(_CHUNK_BYTES, socket.MSG_PEEK))
+        else:
+            arrived = max(1, self._buffered())
+        if arrived == 0:
+            return b"", False
+        data = self._visa.read_bytes(arrived, break_on_termchar=True)
+        return data, len(data) < arrived
+
+    def take_message(self, timeout_s: float) -> bytes:
+        """Return one whole message, where the interface marks its end (`by_bytes` is False)."""
+        self._visa.timeout = timeout_s * 1000.0
+        return self._visa.read_raw()
+
+    def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:
+        """Rid a wire that outlives its connection of a reply that may still come; False if it goes on coming.
+
+        A new socket is a new stream already; it must not be cleared, which may never end.
+        """
+        if isinstance(self._visa, GPIBInstrument):
+            self._visa.clear()
+        elif isinstance(self._visa, SerialInstrument):
+            self._visa.write_raw(device_clear)
+            deadline_s = self._clock.now_s() + timeout_s
+            self._clock.sleep(_QUIET_S)
+            while self._buffered():
+                if self._clock.now_s() > deadline_s:
+                    return False
+                self._visa.flush(constants.BufferOperation.discard_read_buffer)
+                self._clock.sleep(_QUIET_S)
+        return True
+
+    def _buffered(self) -> int:
+        """Return how many bytes wait in a serial port."""
+        return int(cast("SerialInstrument", self._visa).bytes_in_buffer)
+
+    def _prove_and_tune(self) -> None:
+        """Raise the `OSError` that connecting ended with, and switch Nagle's delay off, on a socket.
+
+        With the delay, a query after a write waits some 40 ms for the peer's acknowledgement.
+        """
+        if isinstance(self._interface, socket.socket):
+            code = self._interface.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            if code:
+                raise OSError(code, os.strerror(code))
+            self._interface.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _set_up(self, timeout_s: float, read_termination: str, serial: SerialSettings) -> None:
+        visa = self._visa
+        visa.timeout = timeout_s * 1000.0
+        if isinstance(visa, (TCPIPSocket, SerialInstrument)):
+            visa.read_termination = read_termination
+        if isinstance(visa, SerialInstrument):
+            wanted: dict[str, object] = {
+                "baud_rate": serial.baud_rate,
+                "data_bits": serial.data_bits,
+                "parity": constants.Parity[serial.parity],
+                "stop_bits": constants.StopBits["one" if serial.stop_bits == 1 else "two"],
+                "flow_control": _FLOW[serial.flow],
+            }
+            for attribute, value in wanted.items():
+                if getattr(visa, attribute) != value:  # a pseudo-terminal refuses what changes nothing
+                    setattr(visa, attribute, value)
+
+
+_manager: pyvisa.ResourceManager | None = None
+_manager_lock = threading.Lock()
+
+
+def _resource_manager() -> pyvisa.ResourceManager:
+    """Return the one resource manager that all connections share."""
+    global _manager  # noqa: PLW0603 - one per process, as pyvisa wants it
+    with _manager_lock:
+        if _manager is None:
+            _manager = pyvisa.ResourceManager("@py")
+        return _manager
+
+
+def _open_in_time(resource: str, timeout_s: float) -> MessageBasedResource:
+    """Open in a thread of its own and wait no longer than agreed; what opens too late is closed again."""
+    opened: Future[MessageBasedResource] = Future()
+
+    def work() -> None:
+        try:
+            milliseconds = max(1, round(timeout_s * 1000.0))
+            visa = _resource_manager().open_resource(resource, open_timeout=milliseconds)
+            opened.set_result(cast("MessageBasedResource", visa))
+        except Exception as error:
+            opened.set_exception(error)  # raised again in the caller's thread
+
+    threading.Thread(target=work, name=f"open {resource}", daemon=True).start()
+    try:
+        return opened.result(timeout_s + _OPENING_MARGIN_S)
+    except BaseException:
+        opened.add_done_callback(_discard_late)
+        raise
+
+
+def _discard_late(opened: Future[MessageBasedResource]) -> None:
+    if opened.exception() is None:
+        _discard(opened.result())
+
+
+def _discard(visa: MessageBasedResource) -> None:
+    with contextlib.suppress(Exception):
+        handle, sessions, interface = visa.session, _sessions(visa), _interface(visa)
+        with contextlib.suppress(Exception):
+            visa.close()
+        sessions.pop(handle, None)
+        if isinstance(interface, (io.IOBase, socket.socket)):
+            interface.close()
+
+
+def _sessions(visa: MessageBasedResource) -> dict[int, Any]:
+    """Return pyvisa-py's table of sessions by handle."""
+    return cast("dict[int, Any]", cast("Any", visa.visalib).sessions)
+
+
+def _interface(visa: MessageBasedResource) -> Any:
+    """Return the socket, pyserial port or other object that pyvisa-py keeps beneath the resource."""
+    return getattr(_sessions(visa).get(visa.session), "interface", None)
+
+
+def _has_fileno(interface: Any) -> bool:
+    """Tell whether `select` can wait on it: not on GPIB, USB, VXI-11, nor on a serial port of Windows."""
+    if not isinstance(interface, (io.IOBase, socket.socket)):
+        return False
+    try:
+        interface.fileno()
+    except (AttributeError, io.UnsupportedOperation):
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""The simulated bench: one physical world, and instruments that look at it over real wires."""
