@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +20,8 @@ from typing import Any, Final
 EVENTS: Final = "events.jsonl"
 MANIFEST: Final = "run.json"
 FORMAT: Final = 1
+
+Shield = Callable[[], AbstractContextManager[None]]
 
 
 class RecordError(Exception):
@@ -65,11 +68,22 @@ def sha256(data: bytes) -> str:
 
 
 class Record:
-    """The writer of a run's events. One program writes a run at a time."""
+    """The writer of a run's events. One program writes a run at a time.
 
-    def __init__(self, folder: Path, last_hash: str, count: int, now: Callable[[], datetime]) -> None:
+    `shield` makes a context within which no signal interrupts the program.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        last_hash: str,
+        count: int,
+        now: Callable[[], datetime],
+        shield: Shield = nullcontext,
+    ) -> None:
         self.folder = folder
         self._now = now
+        self._shield = shield
         self._last_hash = last_hash
         self._count = count
         try:
@@ -86,7 +100,12 @@ class Record:
 
     @classmethod
     def create(
-        cls, folder: Path, manifest: dict[str, Any], inputs: dict[str, bytes], now: Callable[[], datetime]
+        cls,
+        folder: Path,
+        manifest: dict[str, Any],
+        inputs: dict[str, bytes],
+        now: Callable[[], datetime],
+        shield: Shield = nullcontext,
     ) -> Record:
         """Make the folder with its inputs, all on the disk before this returns.
 
@@ -106,10 +125,12 @@ class Record:
             raise RecordError(f"{folder}: there is a run of that name; choose another with --name") from None
         except OSError as error:
             raise _cannot_write(folder, error) from error
-        return cls(folder, sha256(text), 0, now)
+        return cls(folder, sha256(text), 0, now, shield)
 
     @classmethod
-    def reopen(cls, folder: Path, now: Callable[[], datetime]) -> tuple[Record, History]:
+    def reopen(
+        cls, folder: Path, now: Callable[[], datetime], shield: Shield = nullcontext
+    ) -> tuple[Record, History]:
         """Open a run to go on with it; a torn last line is cut off (and stands in the history's `torn`).
 
         Raises `RecordError` when the record was changed.
@@ -127,10 +148,14 @@ class Record:
             raise _cannot_write(folder, error) from error
         lines = whole.split(b"\n")[:-1]
         last = sha256(lines[-1] if lines else (folder / MANIFEST).read_bytes())
-        return cls(folder, last, len(lines), now), history
+        return cls(folder, last, len(lines), now, shield), history
 
     def append(self, kind: str, bench_s: float, **data: Any) -> Event:
         """Write one event; it is on the disk when this returns. Raises `RecordError` (disk full, …)."""
+        with self._shield():
+            return self._append(kind, bench_s, data)
+
+    def _append(self, kind: str, bench_s: float, data: dict[str, Any]) -> Event:
         event = Event(self._count + 1, self._now().isoformat(), bench_s, kind, data)
         line = json.dumps(
             {

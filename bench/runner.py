@@ -179,7 +179,7 @@ class Runner:
             observer(event)
 
     def _now_s(self) -> float:
-        return round(self.clock.now_s() - self._zero_s, 6)
+        return self.clock.now_s() - self._zero_s
 
     def _continue_from(self, bench_s: float) -> None:
         """Count bench time on from `bench_s`, the moment at which the step to be repeated began."""

@@ -132,7 +132,7 @@ def test_what_only_the_limits_hold_is_named(alpha3_arcsec):
     assert gauge.startswith("alpha2[1], alpha3[1], alpha2[2], alpha3[2]: ")
     roll = next(s for s in sentences if "alpha5" in s)
     # an arcsecond of alpha5 in installation 1 puts -Kyy arcsec into Kyz
-    assert f"1 arcsec in installation 1 puts {-2.139892 * ARCSEC:+.2g} V/g in Kyz" in roll
+    assert f"1 arcsec in installation 1 puts {-2.139892e6 * ARCSEC:+.3g} µV/g into Kyz" in roll
     assert any("voltmeter gain" in s for s in sentences)
     assert any("gravity" in s for s in sentences)
 

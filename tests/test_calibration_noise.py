@@ -73,6 +73,18 @@ def test_source_of_the_noise_follows_the_repeats():
     assert believed.noise is given
 
 
+def test_sizes_that_are_estimates_widen_the_uncertainty():
+    """JCGM 101, 6.4.9.4: s sqrt(nu/(nu - 2)); 108 signals give 72 degrees of freedom to the reading noise."""
+    run = simulate(np.random.default_rng(1), 1e-4)
+    estimated = calibrate(run, MODEL, {}, 9.81)
+    sizes = Noise(estimated.noise.reading, estimated.noise.setting_rad, np.inf, "given")
+    believed = calibrate(run, MODEL, {}, 9.81, noise=sizes)
+    assert estimated.noise.dof == 108
+    np.testing.assert_allclose(estimated.u, believed.u * np.sqrt(72 / 70), rtol=1e-6)
+    closed = [calibrate(run, MODEL, {}, 9.81, "closed-form", noise) for noise in (None, sizes)]
+    np.testing.assert_allclose(closed[0].u, closed[1].u * np.sqrt(72 / 70), rtol=1e-6)
+
+
 def test_setting_errors_without_any_voltmeter_noise():
     readings = simulate(np.random.default_rng(2), 0.0, setting_u_rad=10 * ARCSEC)
     result = calibrate(readings, MODEL, STAND_U, 9.81)

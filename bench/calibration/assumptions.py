@@ -76,12 +76,17 @@ def _absent(problem: Problem, block: Block, gain: Floats, unit: str, name: str) 
         largest = float(np.max(np.abs(change)))
         told = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
         if told:
-            what = ", ".join(f"{change[j]:+.2g} {unit}/g in {COEFFICIENTS[j]}" for j in told[:3])
+            what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in told[:3])
             parts.append(f"1 arcsec in installation {mounts[mount]} puts {what}")
     return (
         f"{name} ({SYMBOLS[name]}, the third mounting angle) is assumed zero and nothing in these readings "
         f"shows it: " + ("; ".join(parts) if parts else "it does not act here")
     )
+
+
+def _small(value: float, unit: str) -> str:
+    """Return a small amount of a signal as text, volts in microvolts."""
+    return f"{value * 1e6:+.3g} µV" if unit == "V" else f"{value:+.3g} {unit}"
 
 
 def _undetermined_by_data(problem: Problem, block: Block) -> list[str]:

@@ -113,7 +113,7 @@ def _closed_form(problem: Problem, rows: Readings, fit: gls.Fit, gain: Floats) -
     """
     block = Block.from_vector(np.einsum("pni,ni->p", gain, rows.signal))
     others = problem.prior_mean
-    noise, slope = fit.noise, fit.slope
+    noise, slope = fit.noise.widened(), fit.slope
     # G R G^T from R = sigma_u^2 I + sigma_phi^2 d d^T of each reading, then the stand's angles
     along = np.einsum("pni,ni->pn", gain, slope) * noise.setting_rad
     flat = gain.reshape(FIXED, -1) * noise.reading
@@ -121,7 +121,7 @@ def _closed_form(problem: Problem, rows: Readings, fit: gls.Fit, gain: Floats) -
     fixed = np.einsum("pni,niq->pq", gain, columns)
     covariance = flat @ flat.T + along @ along.T + fixed @ fixed.T
     residuals = rows.signal - problem.predict(block, others)
-    return gls.Fit(block, others, covariance, gain, noise, fit.misfit, residuals, slope)
+    return gls.Fit(block, others, covariance, gain, fit.noise, fit.misfit, residuals, slope)
 
 
 def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:

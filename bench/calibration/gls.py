@@ -42,8 +42,9 @@ LEAST_NOISE: Final = 1e-11
 class Fit:
     """Estimates of all unknowns of a problem and their joint covariance (12 + q, 12 + q).
 
-    `gain` (12 + q, n, 3) is the linear map from readings to unknowns; `misfit` the chi-square left, the
-    priors' part included; `residuals` (n, 3) in the unit of the signal.
+    `noise` is as estimated, the covariance has it widened. `gain` (12 + q, n, 3) is the linear map from
+    readings to unknowns; `misfit` the chi-square left, the priors' part included; `residuals` (n, 3) in the
+    unit of the signal.
     """
 
     block: Block
@@ -69,7 +70,7 @@ def fit(problem: Problem, signal: Floats, start: Block, noise: Noise | None = No
         left = signal - problem.predict(block, others)
         if sizes is None or (noise is None and moved > NEARLY_STILL):
             sizes = _noise(problem, left, jacobian, slope, groups, others, floor)
-        step, covariance, gain = _solve(problem, jacobian, left, slope, sizes, others)
+        step, covariance, gain = _solve(problem, jacobian, left, slope, sizes.widened(), others)
         block = Block.from_vector(block.vector + step[:FIXED])
         others = others + step[FIXED:]
         state = (covariance, gain, slope, sizes)

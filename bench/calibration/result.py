@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,19 @@ class Noise:
     setting_rad: float
     dof: float
     source: str
+
+    def widened(self) -> Noise:
+        """Return the sizes as they enter an uncertainty: larger where they are estimates themselves.
+
+        An estimate s with nu degrees of freedom stands for a scaled t distribution, whose standard deviation
+        is s sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4). Two of three signals tell of the reading noise, the
+        third mostly of the setting error.
+        """
+        if np.isinf(self.dof):
+            return self
+        nu = max(2 * self.dof / 3, 4.0)
+        factor = float(np.sqrt(nu / (nu - 2)))
+        return replace(self, reading=factor * self.reading, setting_rad=factor * self.setting_rad)
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from bench.bench_file import BenchFile, load_bench
+from bench.calibration import CalibrationError
 from bench.commands import CommandError, analyse, printing
 from bench.commands.provenance import versions
 from bench.commands.source import Request as AnalysisRequest
 from bench.commands.source import bench_path, load_sources
 from bench.compose import Assembly, dry_bench, real_bench
+from bench.interrupts import Interrupts
 from bench.model import ForwardModel
 from bench.model_file import load_model
 from bench.plan import Plan
@@ -88,17 +88,21 @@ def run(request: Request) -> int:
         },
         "versions": versions(),
     }
-    record = Record.create(request.runs / name, manifest, inputs, utc_now)
-    return _carry_out(Run(request.runs / name), record, None)
+    with Interrupts() as interrupts:
+        record = Record.create(request.runs / name, manifest, inputs, utc_now, interrupts.shield)
+        _carry_out(Run(request.runs / name), record, None)
+    return _conclude(Run(request.runs / name))
 
 
 def resume(name: str | None, runs: Path) -> int:
     """Carry out `bench resume`."""
     found = _unfinished(name, runs)
-    record, history = Record.reopen(found.folder, utc_now)
-    if history.torn:
-        print("note: the last line of the record was half written and is dropped", file=sys.stderr)
-    return _carry_out(found, record, resume_point(found.plan, history))
+    with Interrupts() as interrupts:
+        record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
+        if history.torn:
+            print("note: the last line of the record was half written and is dropped", file=sys.stderr)
+        _carry_out(found, record, resume_point(found.plan, history))
+    return _conclude(Run(found.folder))
 
 
 def abort(name: str | None, runs: Path) -> int:
@@ -132,15 +136,15 @@ def free_name(procedure: str, runs: Path) -> str:
     return name
 
 
-def _carry_out(run: Run, record: Record, resume: ResumePoint | None) -> int:
-    """Run to the end, then calibrate, verify and report; say what is kept when it stops before."""
+def _carry_out(run: Run, record: Record, resume: ResumePoint | None) -> None:
+    """Run to the end; say what is kept when it stops before."""
     bench = load_bench(run.folder / BENCH)
     where = "simulated instruments" if run.simulated else "the bench"
     out = printing.console()
     verb = "goes on" if resume else "starts"
     out.print(f"run {run.name} {verb} on {where}: {len(run.plan.steps)} steps, recorded in {run.folder}")
     try:
-        with _sigterm_as_interrupt(), _assembly(run, bench) as (assembly, bar):
+        with _assembly(run, bench) as (assembly, bar):
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -158,7 +162,6 @@ def _carry_out(run: Run, record: Record, resume: ResumePoint | None) -> int:
         raise
     finally:
         record.close()
-    return _conclude(run)
 
 
 @contextmanager
@@ -193,10 +196,17 @@ def _kept(run: Run) -> str:
 
 
 def _conclude(run: Run) -> int:
-    """Calibrate, verify and report a finished run; 1 when the verification failed."""
+    """Calibrate, verify and report a finished run; 1 when the verification failed.
+
+    A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
+    """
     request = AnalysisRequest([str(run.folder)], run.folder.parent, None, None, None, None, False)
     (source,) = load_sources(request)
-    calibration = analyse.calibration_of(source)
+    try:
+        calibration = analyse.calibration_of(source)
+    except CalibrationError as reason:
+        printing.console().print(f"the run is finished; no calibration from it: {reason}")
+        return 0
     file = source.output("calibrate", ".json")
     file.write_text(json.dumps(calibration.to_json(), indent=1) + "\n", encoding="utf-8")
     printing.calibration(source, calibration, file)
@@ -208,20 +218,6 @@ def _conclude(run: Run) -> int:
     file.write_text(json.dumps(verdict.to_json(), indent=1) + "\n", encoding="utf-8")
     printing.verification(run.name, verdict, file)
     return 0 if verdict.passed else 1
-
-
-@contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM end a run as cleanly as Ctrl-C does."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 __all__ = ["Request", "abort", "resume", "run", "sha256"]

@@ -11,12 +11,13 @@ from rich.table import Table
 from bench.calibration import Calibration, Verification
 from bench.commands.source import Source
 from bench.model.block import COEFFICIENTS
+from bench.report.numbers import places, scale_for
 
 
 def console() -> Console:
     """Return the console for results; wide enough that no table is cut when the output is a file."""
-    out = Console(highlight=False, soft_wrap=True)
-    return out if out.is_terminal else Console(highlight=False, soft_wrap=True, width=120)
+    out = Console(highlight=False, soft_wrap=True, markup=False)
+    return out if out.is_terminal else Console(highlight=False, soft_wrap=True, markup=False, width=120)
 
 
 def calibration(source: Source, result: Calibration, file: Path | None) -> None:
@@ -33,8 +34,9 @@ def calibration(source: Source, result: Calibration, file: Path | None) -> None:
     out.print(coefficient_table(result))
     fit = result.lack_of_fit
     noise = result.noise
+    scale = scale_for(noise.reading, result.unit)
     out.print(
-        f"noise (1 sigma, from {noise.source}): reading {quantity(noise.reading, result.unit)}, "
+        f"noise (1 sigma, from {noise.source}): reading {noise.reading / scale.size:.3g} {scale.unit}, "
         f"setting of the head {np.degrees(noise.setting_rad) * 3600:.2g} arcsec"
     )
     if np.isfinite(fit.p):
@@ -47,9 +49,9 @@ def calibration(source: Source, result: Calibration, file: Path | None) -> None:
     for name, value in result.effects.items():
         out.print(f"effect {name} = {value.value:.4g} ± {value.u:.2g} {value.unit}")
     for note in (*source.readings.notes, *source.readings.skipped):
-        out.print(f"note: {note}", markup=False)
+        out.print(f"note: {note}")
     for sentence in result.assumed:
-        out.print(f"assumed: {sentence}", markup=False)
+        out.print(f"assumed: {sentence}")
     if file is not None:
         written("result", file)
 
@@ -66,7 +68,7 @@ def coefficient_table(result: Calibration) -> Table:
     ):
         table.add_column(heading, justify=side)  # type: ignore[arg-type]
     for name, value, u in zip(COEFFICIENTS, result.block.vector, result.u, strict=True):
-        digits = decimals(float(u))
+        digits = max(0, places(float(u)))
         unit = result.unit if name.startswith("U0") else f"{result.unit}/g"
         table.add_row(name, f"{value:.{digits}f}", f"{u:.{digits}f}", f"{2 * u:.{digits}f}", unit)
     return table
@@ -92,7 +94,6 @@ def verification(name: str, result: Verification, file: Path | None) -> None:
         f"{name}: {'PASSED' if result.passed else 'FAILED'}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
         f"± {worst.u * 1e6:.1f} µg (u), limit {result.limit_g * 1e6:.0f} µg, rule: {result.rule}",
         style="bold",
-        markup=False,
     )
     if file is not None:
         written("result", file)
@@ -100,18 +101,4 @@ def verification(name: str, result: Verification, file: Path | None) -> None:
 
 def written(what: str, file: Path) -> None:
     """Say where a file was written."""
-    console().print(f"{what}: {file}", markup=False)
-
-
-def decimals(u: float) -> int:
-    """Decimals that show two significant digits of an uncertainty."""
-    if not np.isfinite(u) or u <= 0:
-        return 9
-    return int(min(12, max(0, 1 - np.floor(np.log10(u)))))
-
-
-def quantity(value: float, unit: str) -> str:
-    """Return a small value with the prefix that reads best: "98 µV"."""
-    if unit == "V" and value < 1e-3:
-        return f"{value * 1e6:.3g} µV"
-    return f"{value:.3g} {unit}"
+    console().print(f"{what}: {file}")

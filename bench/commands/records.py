@@ -79,7 +79,8 @@ def show(name: str, folder: Path, target: str | None, *, check: bool) -> int:
         return 1 if problems else 0
     out = printing.console()
     for key, value in {**_summary(run), **run.manifest}.items():
-        out.print(f"{key}: {value}")
+        if value not in ("", None):
+            out.print(f"{key.replace('_', ' ')}: {_told(value)}")
     if check:
         events = len(run.history.events)
         out.print(
@@ -90,6 +91,13 @@ def show(name: str, folder: Path, target: str | None, *, check: bool) -> int:
     else:
         _show_events(run)
     return 1 if problems else 0
+
+
+def _told(value: object) -> str:
+    """Return a value of the manifest as text; what it holds by name as a list."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {part}" for name, part in value.items())
+    return str(value)
 
 
 def _show_events(run: Run) -> None:

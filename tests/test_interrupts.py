@@ -1,0 +1,80 @@
+"""Signals: held back while an event is written, heard once, real ones against a real process."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bench.interrupts import Interrupts
+from bench.record import read_history
+from bench.run_folder import Run
+
+LONG = """\
+procedure: long
+title: Many passes
+reading: {samples: 10, nplc: 10, settle: 10 s}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - repeat: {times: 40, steps: [turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}]}
+"""
+
+
+def test_a_signal_within_the_shield_is_heard_at_its_end():
+    done = []
+    with Interrupts() as interrupts, pytest.raises(KeyboardInterrupt):  # noqa: PT012
+        with interrupts.shield():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("whole")
+        done.append("not reached")
+    assert done == ["whole"]
+
+
+def test_sigterm_is_heard_like_ctrl_c_and_a_second_signal_does_not_cut_the_way_out(capsys):
+    with Interrupts():
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)
+    assert "left safe" in capsys.readouterr().err
+
+
+def test_the_handlers_are_given_back():
+    before = signal.getsignal(signal.SIGINT)
+    with Interrupts():
+        assert signal.getsignal(signal.SIGINT) != before
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
+    """The moment is whenever the signal comes; the wire and the disk are real."""
+    (tmp_path / "long.yaml").write_text(LONG)
+    command = [sys.executable, "-c", "from bench.cli import main; main()"]
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [*command, "run", "long.yaml", "--dry-run", "--name", "hit"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    events = Path(tmp_path / "runs/hit/events.jsonl")
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and not (events.exists() and events.stat().st_size > 20_000):
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    history = read_history(tmp_path / "runs/hit")
+    assert history.problems == ()
+    assert len(Run(tmp_path / "runs/hit").readings()) >= 5
+    if number == signal.SIGKILL:
+        assert history.state == "running"
+    else:
+        assert process.returncode == 2
+        assert history.state == "interrupted"
+        assert "readings are kept in runs/hit; go on with 'bench resume hit'" in err
+        assert "Traceback" not in err
