@@ -9,7 +9,7 @@ from drivers.interfaces import BenchError, Person, Prompt, PromptKind
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
-MOST_ATTEMPTS: Final = 5
+MOST_ATTEMPTS: Final = 20
 
 
 def ask(person: Person, prompt: Prompt) -> str:
@@ -28,7 +28,7 @@ def ask(person: Person, prompt: Prompt) -> str:
         if not problem:
             return given
         text = f"{problem[0].upper()}{problem[1:]}. {prompt.text}"
-    raise BenchError("operator", f"no usable answer to {prompt.text!r}", "go on with 'bench resume'")
+    raise BenchError("operator", f"no usable answer to {prompt.text!r}", "read the question again")
 
 
 def problem_with(prompt: Prompt, text: str) -> str:
@@ -61,6 +61,4 @@ def _problem_with_number(prompt: Prompt, text: str) -> str:
 def confirm(person: Person, prompt: Prompt) -> None:
     """Ask for a confirmation. Raises `BenchError` when the person says no, beside what `ask` raises."""
     if ask(person, prompt).lower() in NO:
-        raise BenchError(
-            "operator", f"answered no to: {prompt.text}", "go on with 'bench resume' when it is done"
-        )
+        raise BenchError("operator", f"answered no to: {prompt.text}", "go on when it is done")

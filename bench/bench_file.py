@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from bench.bench_instruments import VOLTMETERS, InstrumentsSection
+from bench.bench_heads import MotorisedHeadForm
+from bench.bench_instruments import InstrumentsSection
+from bench.bench_mistakes import mistakes_between_parts
 from bench.bench_sections import (
     Gravity,
     InstallationSection,
     Location,
-    SimulationSection,
     StandSection,
     UnitUnderTest,
     VerificationSection,
 )
+from bench.bench_simulation import SimulationSection
+from bench.bench_voltmeters import VOLTMETERS
 from bench.gravity import normal_gravity_m_s2
 from bench.model import STAND_ANGLES, AppliedEffect, Block, Distribution, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.model_file import EffectEntry, effect_mistakes
-from bench.readings import UNORIENTED
-from bench.units import SCALE_FACTOR, VOLTAGE, FrequencyHz, Kind, parse_quantity
+from bench.units import FrequencyHz
 from bench.yaml_file import FileMistakes, FileModel, load_validated, part, sha256_of_file
 from bench.yaml_mistakes import Place
-from drivers.interfaces import CHANNELS
 
 __all__ = ["BenchFile", "FileMistakes", "load_bench", "sha256_of_file"]
 
 STAND_ERRORS: Final = (*STAND_ANGLES, "setting_error", "voltmeter_error")
 """Names of all stand errors."""
-
-_OVER_RANGE: Final = 1.2
-"""A 34401A reads up to 120 % of its range (User's Guide, chapter 8)."""
 
 
 class BenchFile(FileModel):
@@ -62,10 +60,8 @@ class BenchFile(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield mistakes between parts of the file: channels, resources, ranges, labels, effects."""
-        yield from _channel_mistakes(part(data, "instruments", "voltmeters"))
-        yield from _range_mistakes(data)
-        yield from _label_mistakes(part(data, "installations"))
+        """Yield mistakes between parts of the file: channels, resources, ranges, labels, effects, faults."""
+        yield from mistakes_between_parts(data)
         yield from effect_mistakes(part(data, "effects"), ("effects",))
 
     @property
@@ -93,8 +89,33 @@ class BenchFile(FileModel):
 
     @property
     def most_samples(self) -> int:
-        """Samples that one reading may have."""
-        return min(VOLTMETERS[meter.driver].most_samples for meter in self.instruments.voltmeters)
+        """Samples that one reading may have: a multiplexer keeps those of all its channels."""
+        meters = self.instruments.voltmeters
+        return min(VOLTMETERS[meter.driver].memory_readings // len(meter.channels) for meter in meters)
+
+    @property
+    def head_limits_rad(self) -> tuple[float, float] | None:
+        """Lowest and highest angle of the head, rad; None for one that a person turns."""
+        head = self.instruments.head
+        return (head.minimum, head.maximum) if isinstance(head, MotorisedHeadForm) else None
+
+    @property
+    def head_backoff_rad(self) -> float:
+        """How far from an angle the head begins to come to it, within its limits too, rad; 0 by hand."""
+        head = self.instruments.head
+        return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
+
+    @property
+    def chamber_limits_c(self) -> tuple[float, float] | None:
+        """Lowest and highest temperature of the chamber, °C; None where there is none."""
+        chamber = self.instruments.chamber
+        return None if chamber is None else (chamber.minimum, chamber.maximum)
+
+    @property
+    def block_limits_c(self) -> tuple[float, float]:
+        """Lowest and highest temperature that the block may be given, °C."""
+        allowed = self.unit_under_test.temperature
+        return allowed.minimum, allowed.maximum
 
     def installation_models(self) -> dict[str, Installation]:
         """Return the installations by label: the paper's 1 and 2, and those that the file states."""
@@ -124,82 +145,3 @@ class BenchFile(FileModel):
 def load_bench(path: Path) -> BenchFile:
     """Read a bench file. Raises `FileMistakes` with every mistake in it."""
     return load_validated(path, BenchFile)
-
-
-# --- mistakes between parts of the file -------------------------------------------------------------
-
-
-def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Each of x, y, z is carried once; each resource is one meter; all read on one range."""
-    place: Place = ("instruments", "voltmeters")
-    if not isinstance(voltmeters, list):
-        return
-    carried: dict[str, int] = {}
-    resources: dict[str, int] = {}
-    first_range = _value(part(voltmeters, 0, "range") or "10 V", VOLTAGE)
-    unreadable = False
-    for index, meter in enumerate(voltmeters):
-        channels = part(meter, "channels")
-        unreadable |= not isinstance(channels, list)
-        for channel in channels if isinstance(channels, list) else []:
-            unreadable |= channel not in CHANNELS
-            if channel in carried:
-                text = f"channel {channel} is carried by voltmeter {carried[channel] + 1} already"
-                yield (*place, index, "channels"), text
-            carried.setdefault(str(channel), index)
-        resource = part(meter, "resource")
-        if isinstance(resource, str) and resource in resources:
-            yield (*place, index, "resource"), f"'{resource}' is voltmeter {resources[resource] + 1} already"
-        resources.setdefault(str(resource), index)
-        own_range = _value(part(meter, "range") or "10 V", VOLTAGE)
-        if None not in {own_range, first_range} and own_range != first_range:
-            text = (
-                f"all voltmeters read on one range: this one has {own_range:g} V, the first {first_range:g} V"
-            )
-            yield (*place, index, "range"), text
-    missing = [channel for channel in CHANNELS if channel not in carried]
-    if missing and not unreadable:
-        yield place, f"no voltmeter carries channel {', '.join(missing)}; each of x, y, z is carried once"
-
-
-def _range_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """The block's signals at 1 g stay within what the voltmeters read."""
-    range_v = _value(part(data, "instruments", "voltmeters", 0, "range") or "10 V", VOLTAGE)
-    if range_v is None:
-        return
-    full_scale_v = _OVER_RANGE * range_v
-    limit = f"the voltmeters read no more than {full_scale_v:g} V on their {range_v:g} V range"
-    for channel in CHANNELS:
-        place: Place = ("unit_under_test", "scale_factors", channel)
-        scale = _value(part(data, *place), SCALE_FACTOR)
-        if scale is not None and abs(scale) > full_scale_v:
-            yield place, f"1 g gives {abs(scale):g} V, but {limit}; take a higher range"
-    for row, channel in enumerate(CHANNELS):
-        truth: Place = ("simulation", "block")
-        terms = [_value(part(data, *truth, "K", row, column), SCALE_FACTOR) for column in range(3)]
-        bias = _value(part(data, *truth, "U0", row), VOLTAGE)
-        known = [term for term in terms if term is not None]
-        if len(known) == 3 and bias is not None:
-            peak_v = float(np.linalg.norm(known)) + abs(bias)
-            if peak_v > full_scale_v:
-                yield (*truth, "K", row), f"channel {channel} reaches {peak_v:.3g} V in a turn, but {limit}"
-
-
-def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
-    for label in installations if isinstance(installations, dict) else {}:
-        if label in UNORIENTED:
-            text = "F (free), S (shorted), R (reference) are readings without orientation; take another label"
-            yield ("installations", label), text
-        elif not label.isalnum():
-            yield (
-                ("installations", label),
-                f"a label is letters and digits such as '3' or 'U1', not '{label}'",
-            )
-
-
-def _value(written: Any, kind: Kind) -> float | None:
-    """Return a quantity as written, None where it cannot be read (which is told elsewhere)."""
-    try:
-        return parse_quantity(written, kind)
-    except ValueError:
-        return None

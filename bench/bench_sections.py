@@ -1,38 +1,30 @@
-"""The sections of a bench file: what each may say, and what is wrong with it by itself."""
+"""The sections of a bench file on gravity, stand and block: what each may say, what is wrong with it by itself."""
 
 from __future__ import annotations
 
-import math
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
-from bench.bench_instruments import TemperatureRange
+from bench.bench_chambers import TemperatureRange
 from bench.gravity import normal_gravity_m_s2
 from bench.model import Distribution, Installation
 from bench.units import (
     ACCELERATION,
     ANGLE,
-    DURATION,
     VOLTAGE,
     AccelerationG,
     AccelerationMS2,
     AngleRad,
     LengthM,
-    Ratio,
     ScaleFactor,
-    TemperatureC,
-    VoltageV,
     not_negative,
 )
 from bench.yaml_file import FileModel
 
-_ARCSEC: Final = math.pi / 648000
-
 SizeRad = Annotated[float, not_negative(ANGLE)]
 SizeV = Annotated[float, not_negative(VOLTAGE)]
 SizeG = Annotated[float, not_negative(ACCELERATION)]
-SpanS = Annotated[float, not_negative(DURATION)]
 
 
 # --- gravity ----------------------------------------------------------------------------------------
@@ -177,60 +169,3 @@ class VerificationSection(FileModel):
     """Delta g_A: how far the measured modulus of gravity may be from 1 g."""
 
     limit: SizeG
-
-
-# --- simulation -------------------------------------------------------------------------------------
-
-Row = Annotated[tuple[ScaleFactor, ...], Field(min_length=3, max_length=3)]
-
-
-class BlockTruth(FileModel):
-    """The simulated block as it is: K row by row (V/g) and U0 (V)."""
-
-    K: Annotated[tuple[Row, ...], Field(min_length=3, max_length=3)]
-    U0: Annotated[tuple[VoltageV, ...], Field(min_length=3, max_length=3)]
-
-
-class OperatorTruth(FileModel):
-    """The simulated operator.
-
-    `setting_deviation` is the standard deviation of the angle left on the scale from its target, read to
-    `resolution`; a turn takes between the two times of `turn_time`; `slip_probability` is how often the
-    angle that is typed has a classic slip.
-    """
-
-    setting_deviation: SizeRad = 2 * _ARCSEC
-    resolution: SizeRad = _ARCSEC
-    slip_probability: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.01
-    turn_time: Annotated[tuple[SpanS, ...], Field(min_length=2, max_length=2)] = (60.0, 180.0)
-    mount_time: SpanS = 1200.0
-
-    @field_validator("resolution")
-    @classmethod
-    def _has_steps(cls, resolution_rad: float) -> float:
-        if resolution_rad == 0.0:
-            raise ValueError("a scale has steps: expected a resolution such as '1 arcsec'")
-        return resolution_rad
-
-    @field_validator("turn_time")
-    @classmethod
-    def _in_order(cls, turn_time_s: tuple[float, ...]) -> tuple[float, ...]:
-        if turn_time_s[0] > turn_time_s[1]:
-            raise ValueError("the first is the shortest time, the second the longest")
-        return turn_time_s
-
-
-class VoltmeterTruth(FileModel):
-    """The simulated voltmeters: with noise or not, with errors within the maker's limits or none."""
-
-    noise: bool = True
-    accuracy: Literal["90 days"] | None = None
-
-
-class SimulationSection(FileModel):
-    """What the simulated bench is like; without a block it has the nominal scale factors alone."""
-
-    block: BlockTruth | None = None
-    operator: OperatorTruth = OperatorTruth()
-    voltmeter: VoltmeterTruth = VoltmeterTruth()
-    ambient_temperature: TemperatureC = 23.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,11 +20,13 @@ app = typer.Typer(
     epilog="Exit status: 0 done and accepted, 1 done and not accepted, 2 could not be done.",
 )
 
-DONE, NOT_ACCEPTED, NOT_DONE = 0, 1, 2
+DONE, NOT_DONE = 0, 2
+CTRL_C = 130
+"""What the command-line library makes of a Ctrl-C."""
 
 BenchOption = Annotated[
     str | None,
-    typer.Option("--bench", metavar="FILE", envvar="BENCH_FILE", help="Bench file, by path or shipped name."),
+    typer.Option("--bench", metavar="FILE", help="Bench file, by path or name (default: BENCH_FILE)."),
 ]
 RunsOption = Annotated[
     Path, typer.Option("--runs", metavar="DIR", envvar="BENCH_RUNS", help="Folder in which runs live.")
@@ -38,6 +41,10 @@ OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where to write what is derived from a file.")
 ]
 SkipOption = Annotated[bool, typer.Option("--skip-bad-rows", help="Leave out rows that cannot be read.")]
+WireLogOption = Annotated[
+    Path | None,
+    typer.Option("--wire-log", metavar="FILE", help="Write every message to and from the instruments."),
+]
 GravityOption = Annotated[
     float | None,
     typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),
@@ -70,21 +77,22 @@ def run(
     name: Annotated[str | None, typer.Option(help="Name of the run (default: procedure and time).")] = None,
     operator: Annotated[str, typer.Option(help="Who stands at the bench, for the record.")] = "",
     model: ModelOption = None,
+    wire_log: WireLogOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
     """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
     from bench.commands import execute
 
-    request = execute.Request(procedure, bench, dry_run, seed, name, operator, model, runs)
+    request = execute.Request(procedure, bench, dry_run, seed, name, operator, model, runs, wire_log)
     return execute.run(request)
 
 
 @app.command(epilog="Example: bench resume unit-17")
-def resume(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
+def resume(name: LatestRun = None, wire_log: WireLogOption = None, runs: RunsOption = RUNS) -> int:
     """Go on with an interrupted run at the first point without a reading."""
     from bench.commands import execute
 
-    return execute.resume(name, runs)
+    return execute.resume(name, runs, wire_log)
 
 
 @app.command(epilog="Example: bench abort unit-17")
@@ -95,12 +103,33 @@ def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
     return execute.abort(name, runs)
 
 
+@app.command(epilog='Example: bench control unit-17 skip "the cable came loose"')
+def control(
+    run: RunArgument,
+    wish: Annotated[str, typer.Argument(help="pause, continue, redo (the point), redo-pass, skip, abort.")],
+    reason: Annotated[str, typer.Argument(help="Why; a skip needs it.")] = "",
+    runs: RunsOption = RUNS,
+) -> int:
+    """Ask something of a run that another program is carrying out; typed at a prompt it is :pause, :redo, …"""
+    from bench.commands import execute
+
+    return execute.control(run, wish, reason, runs)
+
+
 @app.command(epilog="Example: bench check calibration --bench my-bench.yaml")
-def check(procedure: ProcedureArgument, bench: BenchOption = None, json: JsonOption = None) -> int:
+def check(
+    procedure: ProcedureArgument,
+    bench: BenchOption = None,
+    json: JsonOption = None,
+    every_step: Annotated[
+        bool, typer.Option("--all", help="List each step, not runs of equal ones.")
+    ] = False,
+    runs: RunsOption = RUNS,
+) -> int:
     """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
     from bench.commands import check as command
 
-    return command.check(procedure, bench, json)
+    return command.check(procedure, bench, json, every_step=every_step, runs=runs)
 
 
 @app.command(epilog="Example: bench runs")
@@ -211,6 +240,55 @@ def report(
     return analyse.report(analyse.Request([source], runs, bench, model, g, out, skip_bad_rows))
 
 
+@app.command(epilog="Example: bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
+def simulate(
+    command: Annotated[
+        str | None,
+        typer.Argument(help="With --control: what to do on a bench that is served, such as 'turn 45 deg'."),
+    ] = None,
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    seed: Annotated[int, typer.Option(help="Random numbers of the simulated bench.", min=0)] = 1,
+    speed: Annotated[float, typer.Option(help="How many times faster than real time it goes.")] = 1.0,
+    host: Annotated[str, typer.Option(help="Address to listen on; loopback keeps others out.")] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(help="First TCP port, the others follow (default: free ones).")
+    ] = None,
+    ready_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--ready-file", metavar="FILE", help="JSON with all addresses, once everything listens."
+        ),
+    ] = None,
+    no_pty: Annotated[bool, typer.Option("--no-pty", help="TCP alone, no pseudo-terminals.")] = False,
+    control: Annotated[
+        str | None,
+        typer.Option("--control", metavar="HOST:PORT", help="Send COMMAND to a bench that is served."),
+    ] = None,
+) -> int:
+    """Serve the simulated instruments of a bench file until Ctrl-C, or command a bench that is served."""
+    from bench.commands import simulate as served
+
+    if control is not None or command is not None:
+        return served.command(control, command)
+    return served.serve(served.Request(bench, model, seed, speed, host, port, ready_file, not no_pty))
+
+
+@app.command(epilog="Example: bench instruments --bench my-bench.yaml")
+def instruments(
+    bench: BenchOption = None,
+    discover: Annotated[
+        bool, typer.Option("--discover", help="List what the interfaces offer; address no instrument.")
+    ] = False,
+    json: JsonOption = None,
+    wire_log: WireLogOption = None,
+) -> int:
+    """Open every instrument of a bench at once: identity, self-test, a reading, and all that is wrong."""
+    from bench.commands import instruments as command
+
+    return command.offers(json) if discover else command.look(bench, json, wire_log)
+
+
 @app.command(epilog="Example: bench init my-lab")
 def init(folder: Annotated[Path, typer.Argument(help="Folder to write into.")] = Path()) -> int:
     """Write copies of the shipped procedures and bench files, to edit."""
@@ -225,6 +303,8 @@ def main(arguments: list[str] | None = None) -> None:
     debug = "--debug" in given
     try:
         status = app([a for a in given if a != "--debug"] or ["--help"], standalone_mode=False)
+        if status == CTRL_C:
+            status = _fail("stopped by Ctrl-C")
     except KeyboardInterrupt:
         status = _fail("stopped by Ctrl-C")
     except BrokenPipeError:
@@ -234,7 +314,7 @@ def main(arguments: list[str] | None = None) -> None:
         status = _fail("stopped")
     except Exception as error:
         if debug:
-            raise
+            traceback.print_exc()
         status = _fail(explain(error))
     sys.exit(status if isinstance(status, int) else DONE)
 

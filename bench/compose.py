@@ -1,7 +1,13 @@
-"""The composition root: the only module that knows both the drivers and the simulation.
+"""The composition root: the only place that knows both the drivers and the simulation.
 
 A real bench is drivers on the resources of the bench file and a person at the terminal; a dry run is the
 very same drivers on resources that lead to simulated instruments, a scripted operator and a virtual clock.
+
+What carries the messages of a dry run: an instrument on a serial port is reached over a pseudo-terminal,
+where the system has these and the port 8 data bits, and one behind a GPIB adapter through a simulated
+adapter, so that those paths of the drivers are gone through, too. All others go over plain sockets. That
+holds for GPIB boards, whose driver of the system nothing stands for: pyvisa-py's own detour through an
+adapter gives a reading 50 ms to come, and so proves nothing of a bench whose readings take seconds.
 """
 
 from __future__ import annotations
@@ -11,20 +17,30 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from bench.bench_file import BenchFile
-from bench.bench_instruments import SerialSection
+from bench.compose_drivers import Surroundings, instruments_of
+from bench.compose_simulation import (
+    buses_of,
+    faults_of,
+    on_terminals,
+    operator_of,
+    simulated_instruments,
+    world_of,
+)
 from bench.model import ForwardModel
 from bench.record import Event
-from bench.runner import Instruments, Observer
-from drivers.agilent_34401a import Agilent34401A
+from bench.runner import Observer
+from bench.workbench import Instruments
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import Person, ThermalChamber
-from drivers.manual_chamber import ManualChamber
-from drivers.manual_head import ManualHead
-from drivers.visa import MessageSession, SerialSettings, Wire
-from sim.bench import SimulatedBench, SimulatedMeter
-from sim.clock import VirtualClock
-from sim.operator import OperatorSettings, ScriptedOperator
-from sim.world import World, WorldSettings
+from drivers.interfaces import BenchError, Person
+from drivers.visa import Wire
+from sim.bench import SimulatedBench
+from sim.clock import ScaledClock, VirtualClock
+from sim.control import Control
+from sim.operator import ScriptedOperator
+from sim.server import TcpServer
+from sim.session import Instrument as Wired
+from sim.terminal import TERMINALS
+from sim.world import World
 
 
 @dataclass(frozen=True)
@@ -41,97 +57,87 @@ class Assembly:
 def real_bench(bench: BenchFile, person: Person, wire: Wire | None = None) -> Assembly:
     """Put the bench of a bench file together; nothing is opened yet."""
     clock = SystemClock()
-    resources = {meter.name: meter.resource for meter in bench.instruments.voltmeters}
-    return Assembly(_instruments(bench, resources, person, clock, wire), person, clock)
+    instruments = instruments_of(bench, Surroundings(person, clock, bench.line_frequency, wire))
+    return Assembly(instruments, person, clock)
 
 
 @contextmanager
 def dry_bench(
     bench: BenchFile, model: ForwardModel, seed: int, wire: Wire | None = None
 ) -> Iterator[Assembly]:
-    """Put a simulated bench together: the bench file's stand and block as truth, `model` with its effects."""
+    """Put a simulated bench together: the bench file's stand and block as truth, `model` with its effects.
+
+    Raises `BenchError` for a fault in the bench file that its instrument cannot have.
+    """
     clock = VirtualClock()
-    world = World(
-        WorldSettings(
-            block=bench.simulated_block(),
-            model=model,
-            stand=bench.stand_distributions(),
-            seed=seed,
-            ambient_c=bench.simulation.ambient_temperature,
-        ),
-        clock,
-    )
-    operator = ScriptedOperator(world, _operator(bench))
+    world = world_of(bench, model, seed, clock)
+    operator = ScriptedOperator(world, operator_of(bench))
 
     def key_world(event: Event) -> None:
         """Tell the world which step goes on, so that its random numbers belong to the step."""
         if event.type == "step_started":
-            world.begin_step(str(event.data["key"]))
+            attempt = int(event.data["attempt"])
+            key = str(event.data["key"])
+            world.begin_step(key if attempt == 1 else f"{key}@{attempt}")
 
-    with SimulatedBench(world, _meters(bench)) as simulated:
-        instruments = _instruments(bench, simulated.resources, operator, clock, wire)
-        yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)
-
-
-def _instruments(
-    bench: BenchFile, resources: Mapping[str, str], person: Person, clock: Clock, wire: Wire | None
-) -> Instruments:
-    """Make the drivers that a bench file names, on these resources."""
-    sections = bench.instruments
-    meters = [
-        Agilent34401A(
-            meter.name,
-            meter.channels[0],
-            MessageSession(
-                meter.name,
-                resources[meter.name],
-                timeout_s=meter.timeout,
-                serial=_serial(meter.serial),
-                wire=wire,
-            ),
-            clock,
-            interface=meter.interface,
-            line_hz=bench.line_frequency,
-        )
-        for meter in sections.voltmeters
-    ]
-    head = ManualHead(sections.head.name, person, tolerance_rad=sections.head.tolerance)
-    chamber: ThermalChamber | None = None
-    if sections.chamber is not None:
-        held = sections.chamber
-        chamber = ManualChamber(held.name, person, minimum_c=held.minimum, maximum_c=held.maximum)
-    return Instruments(meters, head, chamber)
+    terminals = on_terminals(bench) if TERMINALS else ()
+    with _simulated(bench, world, with_terminals=terminals) as simulated:
+        ports = {name: simulated.terminals[name].resource for name in terminals}
+        given = Surroundings(operator, clock, bench.line_frequency, wire, simulated.resources | ports)
+        yield Assembly(instruments_of(bench, given), operator, clock, (key_world,), clock.advance_to)
 
 
-def _serial(section: SerialSection) -> SerialSettings:
-    """A 34401A with a parity sends 7 data bits, without one 8 (User's Guide, chapter 4)."""
-    return SerialSettings(
-        baud_rate=section.baud_rate,
-        parity=section.parity,
-        data_bits=8 if section.parity == "none" else 7,
+@dataclass(frozen=True)
+class Serving:
+    """A simulated bench as other programs see it: who is where, and where it is controlled."""
+
+    instruments: tuple[Mapping[str, str | None], ...]
+    control: str
+
+
+@contextmanager
+def served_bench(
+    bench: BenchFile,
+    model: ForwardModel,
+    seed: int,
+    *,
+    speed: float = 1.0,
+    host: str = "127.0.0.1",
+    first_port: int = 0,
+    with_terminals: bool = True,
+) -> Iterator[Serving]:
+    """Serve the instruments of a bench file that have a wire, on a clock `speed` times the real one's.
+
+    Raises `BenchError` when a port is taken, or for a fault that its instrument cannot have.
+    """
+    simulated = _simulated(
+        bench,
+        world_of(bench, model, seed, ScaledClock(speed)),
+        host=host,
+        first_port=first_port,
+        with_terminals=with_terminals and TERMINALS,
     )
+    with simulated, TcpServer(Wired(Control(simulated)), host=host) as control:
+        yield Serving(tuple(simulated.addresses()), control.address)
 
 
-def _operator(bench: BenchFile) -> OperatorSettings:
-    told = bench.simulation.operator
-    return OperatorSettings(
-        setting_deviation_rad=told.setting_deviation,
-        resolution_rad=told.resolution,
-        turn_time_s=(told.turn_time[0], told.turn_time[1]),
-        mount_time_s=told.mount_time,
-        slip_probability=told.slip_probability,
-    )
-
-
-def _meters(bench: BenchFile) -> dict[str, SimulatedMeter]:
-    told = bench.simulation.voltmeter
-    return {
-        meter.name: SimulatedMeter(
-            channel=meter.channels[0],
-            interface=meter.interface,
-            noise=told.noise,
-            accuracy=told.accuracy,
-            line_hz=bench.line_frequency,
+def _simulated(
+    bench: BenchFile,
+    world: World,
+    *,
+    with_terminals: bool | tuple[str, ...],
+    host: str = "127.0.0.1",
+    first_port: int = 0,
+) -> SimulatedBench:
+    try:
+        return SimulatedBench(
+            world,
+            simulated_instruments(bench, world),
+            host=host,
+            first_port=first_port,
+            with_terminals=with_terminals,
+            buses=buses_of(bench),
+            faults=faults_of(bench),
         )
-        for meter in bench.instruments.voltmeters
-    }
+    except ValueError as error:
+        raise BenchError("simulation", str(error), "mend the faults in the bench file") from error

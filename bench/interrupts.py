@@ -14,11 +14,14 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+# the terminal's window closed counts as well, where the system has that signal
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
 class Interrupts:
-    """Within its context the first Ctrl-C or SIGTERM raises `KeyboardInterrupt`, outside any `shield`."""
+    """Within its context the first Ctrl-C, SIGTERM or SIGHUP raises `KeyboardInterrupt`, outside any `shield`."""
 
     def __init__(self) -> None:
         self._shielded = 0
@@ -27,7 +30,7 @@ class Interrupts:
         self._before: dict[int, Handler] = {}
 
     def __enter__(self) -> Interrupts:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in SIGNALS:
             self._before[number] = signal.signal(number, self._handle)
         return self
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from bench.bench_file import BenchFile
-from bench.plan import Ask, Mount, Plan, Read, SetTemperature
+from bench.plan import Plan
+from bench.plan_check import check
 from bench.procedure_expansion import Expansion
 from bench.procedure_file import IncludedFile, ProcedureFile
 from bench.yaml_file import Document, FileMistakes, Mistake, load_document, part, validated
 from bench.yaml_mistakes import Place
+
+__all__ = ["Procedure", "check", "load_procedure"]
 
 _INCLUDE: Final = "include"
 
@@ -125,30 +127,41 @@ class _Tree:
 
 @dataclass(frozen=True)
 class _Scope:
-    """What a step stands in."""
+    """What a step stands in: the verbs around it, and the files that lead to it."""
 
-    installation: bool = False
-    turn: bool = False
-    chain: tuple[Path, ...] = field(default=())
+    within: frozenset[str] = frozenset()
+    chain: tuple[Path, ...] = ()
 
     def inside(self, verb: str) -> _Scope:
         """Return the scope of the steps of a verb."""
-        return replace(
-            self, installation=self.installation or verb == "installation", turn=self.turn or verb == "turn"
-        )
+        return replace(self, within=self.within | {verb})
 
     def problem(self, verb: str) -> str:
         """Return why a verb cannot stand here, empty where it can."""
+        text = ""
         match verb:
-            case "installation" if self.installation:
-                return "an installation stands inside another; end the first one before it"
-            case "turn" | "read" if not self.installation:
-                return f"a {verb} stands outside of an installation: nobody knows how the block is mounted"
-            case "read" if not self.turn:
-                return "a read stands outside of a turn: put it into the turn's steps"
-            case "turn" | "repeat" if self.turn:
-                return f"a {verb} stands inside the steps of a turn; put it around the turn"
-        return ""
+            case _ if "input" in self.within:
+                if verb in _NOT_IN_AN_INPUT:
+                    text = f"{_a(verb)} stands inside an input, where no signal is connected; end it before"
+            case "installation" if verb in self.within:
+                text = "an installation stands inside another; end the first one before it"
+            case "temperatures" if verb in self.within:
+                text = "a list of temperatures stands inside another; put all into one"
+            case "turn" | "read" if "installation" not in self.within:
+                text = f"a {verb} stands outside of an installation: nobody knows how the block is mounted"
+            case "read" if "turn" not in self.within:
+                text = "a read stands outside of a turn: put it into the turn's steps"
+            case "turn" | "repeat" | "temperatures" if "turn" in self.within:
+                text = f"{_a(verb)} stands inside the steps of a turn; put it around the turn"
+        return text
+
+
+_NOT_IN_AN_INPUT: Final = frozenset({"turn", "installation", "input", "temperature", "temperatures"})
+
+
+def _a(verb: str) -> str:
+    """Return what a verb stands for, with its article."""
+    return "a list of temperatures" if verb == "temperatures" else f"a{'n' * (verb[0] in 'ai')} {verb}"
 
 
 def _entries(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
@@ -163,59 +176,3 @@ def _walk(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
     for entry, verb, body in _entries(steps, place):
         yield entry, verb, body
         yield from _walk(part(body, "steps"), (*entry, verb, "steps"))
-
-
-# --- against a bench --------------------------------------------------------------------------------
-
-
-def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
-    """Return every reason why a plan cannot be carried out on a bench, one sentence each.
-
-    In a dry run nobody can answer a prompt without a default, so that such a prompt is a reason too.
-    """
-    return [*_installation_problems(plan, bench), *_reading_problems(plan, bench),
-            *_temperature_problems(plan, bench), *(_prompt_problems(plan) if dry_run else ())]  # fmt: skip
-
-
-def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    known = bench.installation_models()
-    first = {step.installation: step.key for step in reversed(plan.steps) if isinstance(step, Mount)}
-    for label, key in reversed(first.items()):
-        if label not in known:
-            listed = ", ".join(known)
-            yield f"step {key}: the bench file has no installation {label} (it has {listed}); state it there"
-
-
-def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    nplc: dict[float, str] = {}
-    samples: dict[int, str] = {}
-    for step in plan.steps:
-        if isinstance(step, Read):
-            nplc.setdefault(step.nplc, step.key)
-            samples.setdefault(step.samples, step.key)
-    for value, key in nplc.items():
-        if value not in bench.nplc_supported:
-            listed = ", ".join(f"{n:g}" for n in bench.nplc_supported)
-            yield f"step {key}: the voltmeters do not integrate over {value:g} NPLC; take one of {listed}"
-    for count, key in samples.items():
-        if count > bench.most_samples:
-            yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
-
-
-def _temperature_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    demands = [step for step in plan.steps if isinstance(step, SetTemperature)]
-    chamber = bench.instruments.chamber
-    if demands and chamber is None:
-        yield f"step {demands[0].key}: the procedure sets temperatures, but the bench file has no chamber"
-    limits = {"the block": bench.unit_under_test.temperature} | ({"the chamber": chamber} if chamber else {})
-    for step in demands:
-        for what, allowed in limits.items():
-            if not allowed.minimum <= step.target_c <= allowed.maximum:
-                span = f"{allowed.minimum:g} to {allowed.maximum:g} °C"
-                yield f"step {step.key}: {step.target_c:g} °C is outside what {what} may be given, {span}"
-
-
-def _prompt_problems(plan: Plan) -> Iterator[str]:
-    for step in plan.steps:
-        if isinstance(step, Ask) and step.default is None:
-            yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; give one"

@@ -9,6 +9,9 @@ steps:
             directions: [rising, falling, rising]
             steps:
               - turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}
+
+Beside the steps, `reading` says how a reading is taken, `on_failure` what becomes of a turn or a reading that
+fails, `operator_time` how long the operator takes.
 """
 
 from __future__ import annotations
@@ -16,20 +19,34 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
-from bench.plan import OperatorTime
+from bench.procedure_sections import (
+    FailureSection,
+    OperatorTimeSection,
+    Positive,
+    ReadingSection,
+    SettleVerb,
+    SpanS,
+    TemperatureSettle,
+)
 from bench.readings import UNORIENTED
-from bench.units import DURATION, AngleRad, TemperatureC, not_negative
+from bench.units import AngleRad, TemperatureC, VoltageV
 from bench.yaml_file import FileModel
 from drivers.interfaces import PromptKind
 
 Steps = Annotated[tuple["StepEntry", ...], Field(min_length=1)]
-SpanS = Annotated[float, not_negative(DURATION)]
 DirectionWord = Literal["rising", "falling"]
-Positive = Annotated[int, Field(ge=1)]
 
-VERBS: Final = ("installation", "repeat", "turn", "read", "wait", "prompt", "temperature", "include")
+VERBS: Final = ("installation", "repeat", "turn", "read", "input", "wait", "settle", "prompt", "temperature",
+                "temperatures", "include")  # fmt: skip
 _TURN_RAD: Final = math.tau + 1e-9
 
 
@@ -40,26 +57,6 @@ def _within_a_turn(angle_rad: float) -> float:
 
 
 Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
-
-
-class ReadingSection(FileModel):
-    """How a reading is taken unless a step says otherwise: samples, power-line cycles, settling before it."""
-
-    samples: Positive = 10
-    nplc: Annotated[float, Field(gt=0.0)] = 10.0
-    settle: SpanS = 5.0
-
-
-class OperatorTimeSection(FileModel):
-    """Expected times of the operator, for the estimate of a plan's duration alone."""
-
-    turn: SpanS = 120.0
-    mount: SpanS = 1200.0
-    answer: SpanS = 30.0
-
-    def to_plan(self) -> OperatorTime:
-        """Return the times as a plan holds them."""
-        return OperatorTime(self.turn, self.mount, self.answer)
 
 
 class InstallationVerb(FileModel):
@@ -138,10 +135,40 @@ class TurnVerb(FileModel):
 
 
 class ReadVerb(FileModel):
-    """Take a reading; what is left out is as in the section `reading`."""
+    """Take a reading, or so many `times` with a `pause` between them, each a point numbered on from the last.
+
+    What is left out is as in the section `reading`.
+    """
 
     samples: Positive | None = None
     nplc: Annotated[float, Field(gt=0.0)] | None = None
+    times: Annotated[int, Field(ge=1, le=100_000)] = 1
+    pause: SpanS = 0.0
+    on_failure: FailureSection | None = None
+
+    @model_validator(mode="after")
+    def _pause_between_two(self) -> ReadVerb:
+        if self.pause and self.times == 1:
+            raise ValueError("a pause stands between readings; say with 'times' how many there are")
+        return self
+
+
+class InputVerb(FileModel):
+    """Switch all three inputs to a short or to a reference, do the steps, switch them back to the signals.
+
+    Where there are no steps: settling and one reading. Readings inside are of installation S or R, and their
+    points are numbered by themselves.
+    """
+
+    source: Literal["short", "reference"]
+    voltage: VoltageV | None = None
+    steps: Steps | None = None
+
+    @model_validator(mode="after")
+    def _voltage_of_a_reference(self) -> InputVerb:
+        if (self.source == "reference") != (self.voltage is not None):
+            raise ValueError("an input of source 'reference' has a voltage, and no other has")
+        return self
 
 
 class WaitVerb(FileModel):
@@ -190,10 +217,23 @@ class PromptVerb(FileModel):
 
 
 class TemperatureVerb(FileModel):
-    """Set the chamber, then let the block soak."""
+    """Set the chamber, wait until the temperature has settled, then let the block soak."""
 
     at: TemperatureC
+    settle: TemperatureSettle | None = None
     soak: SpanS = 0.0
+
+
+class TemperaturesVerb(FileModel):
+    """Do the steps at one temperature after the other, each as the verb `temperature` would set it.
+
+    Inside an installation the block stays mounted, and each temperature is a series of its own.
+    """
+
+    at: Annotated[tuple[TemperatureC, ...], Field(min_length=1)]
+    settle: TemperatureSettle | None = None
+    soak: SpanS = 0.0
+    steps: Steps
 
 
 class StepEntry(FileModel):
@@ -203,9 +243,12 @@ class StepEntry(FileModel):
     repeat: RepeatVerb | None = None
     turn: TurnVerb | None = None
     read: ReadVerb | None = None
+    input: InputVerb | None = None
     wait: WaitVerb | None = None
+    settle: SettleVerb | None = None
     prompt: PromptVerb | None = None
     temperature: TemperatureVerb | None = None
+    temperatures: TemperaturesVerb | None = None
     include: str | None = None
 
     @model_validator(mode="before")
@@ -231,6 +274,7 @@ class IncludedFile(FileModel):
     procedure: str | None = None
     title: str = ""
     reading: ReadingSection | None = None
+    on_failure: FailureSection | None = None
     operator_time: OperatorTimeSection = OperatorTimeSection()
     steps: Steps
 

@@ -25,6 +25,9 @@ REFERENCE: Final = "R"
 UNORIENTED: Final = frozenset({FREE, SHORTED, REFERENCE})
 """Rows whose head angle means nothing and may be empty."""
 
+MOST_DECIMALS: Final = 8
+"""A 34401A's reply has so many: what is given to more is no reading as it came from a meter."""
+
 UNITS: Final[Mapping[str, str]] = {"v": "V", "counts": "counts", "g": "g", "ms2": "m/s^2"}
 """Suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2) to the unit as printed."""
 
@@ -37,7 +40,8 @@ class Readings:
     both, `time_s` and `temperature_c` are NaN where not given; `direction` is +1, -1 or 0 (not known);
     `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN where not given.
     `extra` keeps further columns as text; `notes` says what a reader of the table should know;
-    `skipped` lists rows that were left out on request, with the reason.
+    `skipped` lists rows that were left out on request, with the reason; `verification_missing` counts the
+    verification points that were planned or written but are not among the rows.
     """
 
     source: str
@@ -57,6 +61,19 @@ class Readings:
     extra: Mapping[str, Labels] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
+    verification_missing: int = 0
+
+    @property
+    def resolution(self) -> float:
+        """The last digit that the signals are given to, in `unit`; 0 where they have more than 8 decimals.
+
+        Means of several samples have a digit more than the samples: it is theirs that counts here.
+        """
+        for decimals in range(MOST_DECIMALS + 1):
+            scaled = self.signal * 10.0**decimals
+            if np.all(np.abs(scaled - np.round(scaled)) <= 1e-6):
+                return float(10.0**-decimals)
+        return 0.0
 
     def __len__(self) -> int:
         return len(self.point)

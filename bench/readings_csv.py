@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -58,6 +58,7 @@ def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool 
 
     columns = _Columns()
     bad: list[str] = []
+    verification_missing = 0
     seen: dict[tuple[float, str, float, float], int] = {}
     for line, cells in body:
         try:
@@ -72,6 +73,7 @@ def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool 
                 )
         except _BadCell as problem:
             bad.append(f"{path}, line {line}, column {problem.column}: {problem}")
+            verification_missing += VERIFICATION in (cell.strip() for cell in cells)
             continue
         seen[key] = line
         columns.installation.append(key[1])
@@ -87,7 +89,8 @@ def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool 
         raise ReadingsError(f"{path}: no reading in it; expected a header line and a row for each reading")
     unknown = [name for name in header if name not in known]
     notes = (f"columns kept and not used: {', '.join(unknown)}",) if unknown else ()
-    return _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
+    table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
+    return replace(table, verification_missing=verification_missing)
 
 
 def _split(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

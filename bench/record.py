@@ -10,12 +10,16 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
+
+from bench.states import State, state_after
 
 EVENTS: Final = "events.jsonl"
 MANIFEST: Final = "run.json"
@@ -48,18 +52,9 @@ class History:
     torn: str = ""
 
     @property
-    def state(self) -> str:
-        """What became of the run: "running" also stands for one whose program died."""
-        names = {
-            "run_started": "running",
-            "run_resumed": "running",
-            "run_finished": "finished",
-            "run_failed": "failed",
-            "run_interrupted": "interrupted",
-            "run_aborted": "aborted",
-        }
-        states = [names[e.type] for e in self.events if e.type in names]
-        return states[-1] if states else "empty"
+    def state(self) -> State:
+        """What became of the run; "running" and "paused" also stand for one whose program died."""
+        return state_after([event.type for event in self.events])
 
 
 def sha256(data: bytes) -> str:
@@ -87,7 +82,8 @@ class Record:
         self._last_hash = last_hash
         self._count = count
         try:
-            self._file = (folder / EVENTS).open("ab")
+            # unbuffered: what a full disk refused is not tried again when the file is closed
+            self._file = (folder / EVENTS).open("ab", buffering=0)
         except OSError as error:
             raise _cannot_write(folder, error) from error
         try:
@@ -118,11 +114,7 @@ class Record:
         }
         text = json.dumps(manifest, indent=1, ensure_ascii=False).encode()
         try:
-            folder.mkdir(parents=True)
-            for name, content in {**inputs, MANIFEST: text}.items():
-                _write_durably(folder / name, content)
-        except FileExistsError:
-            raise RecordError(f"{folder}: there is a run of that name; choose another with --name") from None
+            _make_folder(folder, {**inputs, MANIFEST: text})
         except OSError as error:
             raise _cannot_write(folder, error) from error
         return cls(folder, sha256(text), 0, now, shield)
@@ -171,8 +163,7 @@ class Record:
         ).encode()
         whole = self._file.tell()
         try:
-            self._file.write(line + b"\n")
-            self._file.flush()
+            self._write(line + b"\n")
             os.fsync(self._file.fileno())
         except OSError as error:
             self._cut_back(whole)
@@ -184,6 +175,11 @@ class Record:
     def close(self) -> None:
         """Let the file go."""
         self._file.close()
+
+    def _write(self, data: bytes) -> None:
+        """Write all of it: an unbuffered file may take a part only."""
+        while data:
+            data = data[self._file.write(data) :]
 
     def _cut_back(self, length: int) -> None:
         """Remove a half-written line, so that the record stays whole."""
@@ -202,6 +198,34 @@ def _lock(descriptor: int) -> None:
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+def is_being_written(folder: Path) -> bool:
+    """Whether a program is carrying out this run now (always false where the system has no file locks)."""
+    try:
+        with (folder / EVENTS).open("ab") as file:
+            _lock(file.fileno())
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
+def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
+    """Make a folder with its files, there whole or not at all. Raises `OSError`, `RecordError`."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    if folder.exists():
+        raise RecordError(f"{folder}: there is a run of that name; choose another with --name")
+    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        for name, content in files.items():
+            _write_durably(part / name, content)
+        part.chmod(0o755)
+        part.rename(folder)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
 def _write_durably(path: Path, content: bytes) -> None:
     with path.open("xb") as file:
         file.write(content)
@@ -212,18 +236,20 @@ def _write_durably(path: Path, content: bytes) -> None:
 def _cannot_write(folder: Path, error: OSError) -> RecordError:
     return RecordError(
         f"{folder}: cannot be written ({error.strerror or error}); what was recorded before is kept; "
-        "free the disk or choose another folder with --runs, then go on with 'bench resume'"
+        "free the disk, or choose another folder with --runs"
     )
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the inputs' manifest of a run. Raises `RecordError` when there is none."""
     try:
-        manifest: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except OSError:
         raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
     except ValueError:
         raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
+        raise RecordError(f"{folder / MANIFEST}: damaged, not a manifest; take it from a copy of the run")
     return manifest
 
 
@@ -235,7 +261,12 @@ def read_history(folder: Path) -> History:
         if not (folder / name).is_file() or sha256((folder / name).read_bytes()) != digest
     ]
     path = folder / EVENTS
-    content = path.read_bytes() if path.exists() else b""
+    try:
+        content = path.read_bytes() if path.exists() else b""
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be read ({error.strerror}); take it from a copy of the run"
+        ) from error
     end = content.rfind(b"\n") + 1
     torn = content[end:].decode(errors="replace")
     events = []

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.plan import Plan
-from bench.readings import Readings, make_readings
+from bench.plan import Plan, Read
+from bench.readings import VERIFICATION, Readings, make_readings
 from bench.record import MANIFEST, History, RecordError, read_history, read_manifest
 
 PLAN = "plan.json"
@@ -54,6 +55,19 @@ class Run:
             ) from error
 
     @property
+    def created(self) -> str:
+        """Civil time at which the run was begun, empty where its manifest cannot be read."""
+        try:
+            return str(self.manifest.get("created", ""))
+        except RecordError:
+            return ""
+
+    @property
+    def imported(self) -> bool:
+        """Whether the run was made of a readings file."""
+        return "imported" in self.manifest
+
+    @property
     def simulated(self) -> bool:
         """Whether the run was made on simulated instruments."""
         return bool(self.manifest.get("dry_run"))
@@ -79,7 +93,21 @@ class Run:
                 by_step[step] = event.data["reading"]
         if not by_step:
             raise RecordError(f"{self.folder}: no reading is recorded in this run")
-        return readings_of(list(by_step.values()), str(self.folder))
+        planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
+        table = readings_of(list(by_step.values()), str(self.folder))
+        return replace(
+            table,
+            verification_missing=planned - len(table.verification()),
+            notes=self._unfinished_note(len(by_step)),
+        )
+
+    def _unfinished_note(self, taken: int) -> tuple[str, ...]:
+        """Say how much of the plan was measured, where it is not all."""
+        planned = sum(isinstance(step, Read) for step in self.plan.steps)
+        if taken == planned:
+            return ()
+        state = self.trusted_history().state
+        return (f"the run is {state}: {taken} of {planned} planned readings were taken",)
 
 
 def readings_of(rows: list[dict[str, Any]], source: str) -> Readings:
@@ -106,6 +134,18 @@ def readings_of(rows: list[dict[str, Any]], source: str) -> Readings:
     )
 
 
+def checked_name(name: str) -> str:
+    """Return the name of a run, which is that of its folder and an argument of commands.
+
+    Raises `RecordError` for one that could not be typed, or would lie elsewhere.
+    """
+    if re.fullmatch(r"\w[\w.+-]{0,99}", name) is None:
+        raise RecordError(
+            f"{name!r}: a run's name is a letter or digit, then up to 99 letters, digits, dots, dashes and plusses"
+        )
+    return name
+
+
 def find_run(name: str, runs: Path) -> Run:
     """Find a run by its name in the folder of runs, or by its path.
 
@@ -123,4 +163,4 @@ def all_runs(runs: Path) -> list[Run]:
     if not runs.is_dir():
         return []
     found = [Run(folder) for folder in runs.iterdir() if (folder / MANIFEST).is_file()]
-    return sorted(found, key=lambda run: (run.manifest.get("created", ""), run.name))
+    return sorted(found, key=lambda run: (run.created, run.name))

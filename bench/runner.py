@@ -6,103 +6,50 @@ it cannot tell a simulated bench from a real one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, Final
 
-import numpy as np
-
-from bench.asking import ask, confirm
-from bench.mounting import mount_picture, mount_text
-from bench.plan import Ask, Mount, Plan, Read, SetTemperature, Step, Turn, Wait
-from bench.record import Event, Record
-from bench.resume import ResumePoint
-from drivers.clock import Clock
+from bench.asking import confirm
+from bench.control import Control, Controls, NoControls, OperatorWish
+from bench.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
+from bench.record import Event, Record, RecordError
+from bench.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
+from bench.states import HEARD, TRANSITIONS, State, Wish
+from bench.workbench import NAP_S, Instruments, Workbench
+from drivers.clock import Clock, SystemClock
 from drivers.interfaces import (
-    CHANNELS,
+    BadReading,
     BenchError,
-    Channel,
-    DividingHead,
-    HeadPosition,
-    Identity,
-    Instrument,
-    NotConnected,
+    InstrumentLost,
+    InstrumentRefused,
     Person,
     Prompt,
     PromptKind,
-    ThermalChamber,
-    Voltmeter,
-    VoltmeterSettings,
 )
 
 Observer = Callable[[Event], None]
+Watch = Callable[[dict[str, Any]], list[dict[str, Any]]]
+"""Looks at each reading as it is taken; returns what seems wrong with it, to be recorded."""
 
-NAP_S: Final = 1.0
-"""Waiting is cut into naps, so that progress is shown and Ctrl-C is heard."""
+WORTH_REPEATING: Final = (BadReading, InstrumentLost, InstrumentRefused)
+"""Failures that may be gone at the next try; a limit or a missing answer will not be."""
 
-
-class State(StrEnum):
-    """What a run is doing."""
-
-    READY = "ready"
-    RUNNING = "running"
-    FINISHED = "finished"
-    FAILED = "failed"
-    INTERRUPTED = "interrupted"
-    ABORTED = "aborted"
+NO_REPEAT: Final = OnFailure(repeats=0, then="stop")
 
 
-TRANSITIONS: Final[Mapping[State, Mapping[str, State]]] = {
-    State.READY: {
-        "run_started": State.RUNNING,
-        "run_resumed": State.RUNNING,
-        "run_failed": State.FAILED,
-        "run_interrupted": State.INTERRUPTED,
-    },
-    State.RUNNING: {
-        "run_finished": State.FINISHED,
-        "run_failed": State.FAILED,
-        "run_interrupted": State.INTERRUPTED,
-    },
-    State.FAILED: {"run_resumed": State.RUNNING, "run_aborted": State.ABORTED},
-    State.INTERRUPTED: {"run_resumed": State.RUNNING, "run_aborted": State.ABORTED},
-    State.FINISHED: {},
-    State.ABORTED: {},
-}
-"""Which event leads from which state to which: there is no other way.
-
-A program that resumes a run begins at READY again; what the run was before stands in its record."""
-
-
-@dataclass(frozen=True)
-class Instruments:
-    """The bench as the runner sees it. Together the voltmeters carry the channels x, y, z once each."""
-
-    voltmeters: Sequence[Voltmeter]
-    head: DividingHead
-    chamber: ThermalChamber | None = None
-
-    def all(self) -> list[Instrument]:
-        """Every instrument, in the order in which they are opened."""
-        return [*self.voltmeters, self.head, *([self.chamber] if self.chamber else [])]
-
-
-@dataclass
-class _Bench:
-    """What the runner knows of the bench while it works."""
-
-    position: HeadPosition | None = None
-    temperature_c: float | None = None
-    settings: VoltmeterSettings | None = None
+class RunAborted(Exception):
+    """The person ended the run for good."""
 
 
 @dataclass
 class Runner:
     """Executes a plan.
 
-    `range_v` is the voltmeters' fixed range. `observers` see each event after it is on the disk.
-    `at_resumed_time` is told the bench time from which a resumed run goes on.
+    `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
+    resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
+    person's, not the bench's.
     """
 
     plan: Plan
@@ -113,29 +60,35 @@ class Runner:
     range_v: float
     observers: Sequence[Observer] = ()
     at_resumed_time: Callable[[float], None] | None = None
+    controls: Controls = field(default_factory=NoControls)
+    progress: Progress = field(default_factory=Progress)
+    patience: Clock = field(default_factory=SystemClock)
+    watch: Watch = lambda reading: []
     state: State = State.READY
     _zero_s: float = 0.0
-    _bench: _Bench = field(default_factory=_Bench)
+
+    def __post_init__(self) -> None:
+        self._workbench = Workbench(
+            self.instruments, self.person, self.clock, self.range_v, self._now_s, self._hear
+        )
 
     def run(self, resume: ResumePoint | None = None) -> None:
         """Open the instruments, carry out the plan, leave the bench safe.
 
-        A resumed run begins where `resume` says, after the block was mounted and the chamber set as the
-        steps before demand. Raises what went wrong, recorded, after every instrument was closed:
-        `BenchError`, `RecordError`, `KeyboardInterrupt` (Ctrl-C).
+        A resumed run goes on where `resume` says, after the bench was brought to where the steps before left
+        it; `progress` then says what is done. Raises what went wrong, recorded, after every
+        instrument was made safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`.
         """
-        start, bench_s, finished = 0, 0.0, frozenset[int]()
-        if resume:
-            start, bench_s, finished = resume.step, resume.bench_s, resume.finished
+        start, bench_s = (resume.step, resume.bench_s) if resume else (0, 0.0)
+        self._workbench.visits = self.progress.remounts
         try:
-            identities = self._open()
             self._zero_s = self.clock.now_s() - bench_s
+            identities = self.instruments.open()
+            self._compare(identities)
             self._change("run_resumed" if resume else "run_started", step=start, instruments=identities)
-            self._restore(start)
-            self._continue_from(bench_s)
-            for index in range(start, len(self.plan.steps)):
-                if index not in finished:
-                    self._step(index)
+            if resume:
+                self._restore(resume)
+            self._carry_out(start)
             self._change("run_finished")
         except KeyboardInterrupt:
             self._leave("run_interrupted")
@@ -144,175 +97,175 @@ class Runner:
             self._leave("run_failed", error=str(error), instrument=error.instrument)
             raise
         finally:
-            for instrument in self.instruments.all():
-                instrument.close()
+            self._left_safe(self.instruments.leave_safe())
+
+    def _carry_out(self, start: int) -> None:
+        index = start
+        while index < len(self.plan.steps):
+            try:
+                self._hear()
+                if not self.progress.settled(index):
+                    self._step(index)
+                index += 1
+            except OperatorWish as wish:
+                index = self._obey(wish.control, index)
 
     # --- the life of a run ---------------------------------------------------------------------------
-
-    def _open(self) -> dict[str, str]:
-        """Open everything and report every failure at once."""
-        identities: dict[str, str] = {}
-        failures: list[BenchError] = []
-        for instrument in self.instruments.all():
-            try:
-                identity: Identity = instrument.open()
-            except BenchError as error:
-                failures.append(error)
-            else:
-                identities[instrument.name] = str(identity)
-        if failures:
-            raise failures[0] if len(failures) == 1 else NotConnected(failures)
-        return identities
 
     def _change(self, event: str, **data: Any) -> None:
         self.state = TRANSITIONS[self.state][event]
         self._emit(event, **data)
 
     def _leave(self, event: str, **data: Any) -> None:
-        """Record how the run stopped, where it had begun at all."""
+        """Record how the run stopped, where it had not ended already."""
         if event in TRANSITIONS[self.state]:
             self._change(event, **data)
 
+    def _left_safe(self, to_do: dict[str, str]) -> None:
+        """Record what a person must still do; a record that cannot be written has been told of before."""
+        if to_do:
+            with suppress(RecordError):
+                self._emit("left_safe", to_do=to_do)
+
     def _emit(self, kind: str, **data: Any) -> None:
         event = self.record.append(kind, self._now_s(), **data)
+        self.progress.take(event)
         for observer in self.observers:
             observer(event)
 
     def _now_s(self) -> float:
         return self.clock.now_s() - self._zero_s
 
-    def _continue_from(self, bench_s: float) -> None:
-        """Count bench time on from `bench_s`, the moment at which the step to be repeated began."""
-        if self.at_resumed_time is not None:
-            self.at_resumed_time(bench_s)
-        self._zero_s = self.clock.now_s() - bench_s
+    def _compare(self, identities: dict[str, str]) -> None:
+        """Ask before going on with other instruments than those that the run was begun with."""
+        changed = [
+            f"{name} was {before} and is now {identities.get(name, 'gone')}"
+            for name, before in self.progress.identities.items()
+            if identities.get(name) != before
+        ]
+        if changed:
+            text = f"Other instruments than before: {'; '.join(changed)}. Go on with them?"
+            confirm(
+                self.person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"})
+            )
 
-    def _restore(self, start: int) -> None:
-        """Bring the bench to where the steps before `start` left it; nothing of this is a result."""
-        before = self.plan.steps[:start]
-        for kind in (SetTemperature, Mount):
+    def _restore(self, resume: ResumePoint) -> None:
+        """Bring the bench to where the steps before the one to go on with left it."""
+        before = self.plan.steps[: resume.step]
+        for kind in (SetTemperature, Mount, SelectInput):
             last = next((step for step in reversed(before) if isinstance(step, kind)), None)
             if isinstance(last, SetTemperature):
-                self._set_temperature(last)
+                self._workbench.set_temperature(last)
             elif isinstance(last, Mount):
-                self._mount(last)
+                self._remount(last)
+            elif isinstance(last, SelectInput) and last.source != "signal":
+                self._workbench.execute(last)
+        if resume.turn is not None:
+            self._step(resume.turn)
+        self.progress.reopen(self.plan, resume.step)
+        if self.at_resumed_time is not None:
+            self.at_resumed_time(resume.bench_s)
+            self._zero_s = self.clock.now_s() - resume.bench_s
+
+    def _remount(self, step: Mount) -> None:
+        """Ask whether the block is still mounted as it was; if not, its further readings are another visit."""
+        if self._workbench.still_mounted(step):
+            self._workbench.temperature_c = self.progress.temperature_c
+            return
+        highest = max(s.series for s in self.plan.steps if isinstance(s, Mount))
+        visit = highest + 1 + len(self.progress.remounts)
+        self._emit("remounted", installation=step.installation, series=step.series, now_series=visit)
+
+    # --- wishes --------------------------------------------------------------------------------------
+
+    def _hear(self) -> None:
+        """Raise `OperatorWish` when somebody left one."""
+        control = self.controls.poll()
+        if control is not None:
+            raise OperatorWish(control)
+
+    def _obey(self, control: Control, index: int) -> int:
+        """Do as the person wishes at step `index`; return the step to go on with."""
+        if control.wish not in HEARD[self.state]:
+            return self._refuse(control, index, f"the run is {self.state}")
+        match control.wish:
+            case Wish.PAUSE:
+                return self._pause(control, index)
+            case Wish.CONTINUE:
+                self._change("run_continued")
+                return index
+            case Wish.REPEAT_POINT | Wish.REPEAT_PASS:
+                return self._redo(control, index)
+            case Wish.SKIP:
+                last = end_of_point(self.plan, index) - 1
+                self._emit("skipped", first=index, last=last, reason=control.reason)
+                return last + 1
+            case Wish.ABORT:
+                self._change("run_aborted", reason=control.reason)
+                raise RunAborted(control.reason)
+
+    def _refuse(self, control: Control, index: int, why: str) -> int:
+        self._emit("wish_refused", wish=control.wish.value, why=why)
+        return index
+
+    def _pause(self, pause: Control, index: int) -> int:
+        """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
+        self._change("run_paused", reason=pause.reason)
+        while self.state is State.PAUSED:
+            control = self._asked() if pause.by_person else self.controls.poll()
+            if control is None:
+                self.patience.sleep(NAP_S)
+                continue
+            after = self._obey(control, index)
+            if self.state is State.PAUSED and after != index:
+                self._change("run_continued")
+            index = after
+        return index
+
+    def _asked(self) -> Control:
+        """Ask the person who paused the run how to go on."""
+        prompt = Prompt(
+            id=f"pause@{self._now_s():.3f}",
+            kind=PromptKind.CONFIRM,
+            text="Paused. Enter goes on; or :redo, :redo-pass, :skip REASON, :abort",
+            default="yes",
+            action={"do": "wait"},
+        )
+        try:
+            confirm(self.person, prompt)
+        except OperatorWish as wish:
+            return wish.control
+        return Control(Wish.CONTINUE, by_person=True)
+
+    def _redo(self, control: Control, index: int) -> int:
+        """Go back to the turn of the last point, or to the first turn of its pass."""
+        turn = turn_before(self.plan, index)
+        if turn == index:
+            return self._refuse(control, index, "no point was measured since the block was mounted")
+        if control.wish is Wish.REPEAT_PASS:
+            turn = first_of_pass(self.plan, turn)
+        self._emit("redo", first=turn, last=index - 1, wish=control.wish.value)
+        return turn
 
     # --- steps ---------------------------------------------------------------------------------------
 
     def _step(self, index: int) -> None:
+        """Carry out a step; a failure that may pass is met as the step says: again, go on, or stop."""
         step = self.plan.steps[index]
-        self._emit("step_started", step=index, key=step.key)
-        result = self._execute(step)
-        self._emit("step_done", step=index, key=step.key, **result)
-
-    def _execute(self, step: Step) -> dict[str, Any]:
-        match step:
-            case Mount():
-                return self._mount(step)
-            case Turn():
-                return self._turn(step)
-            case Read():
-                return {"reading": self._read(step)}
-            case Wait():
-                return self._wait(step)
-            case SetTemperature():
-                return self._set_temperature(step)
-            case Ask():
-                return self._ask(step)
-
-    def _mount(self, step: Mount) -> dict[str, Any]:
-        prompt = Prompt(
-            id=step.key,
-            kind=PromptKind.CONFIRM,
-            text=mount_text(step.installation, step.series),
-            default="yes",
-            action={"do": "mount", "installation": step.installation, "series": step.series},
-            picture=mount_picture(step.installation),
-        )
-        confirm(self.person, prompt)
-        self._bench.position = None
-        chamber = self.instruments.chamber
-        if chamber is not None and chamber.asks_person:
-            self._bench.temperature_c = chamber.temperature(step.key)
-        return {"temperature_c": self._bench.temperature_c}
-
-    def _turn(self, step: Turn) -> dict[str, Any]:
-        position = self.instruments.head.move(step.target_rad, step.direction, step.key)
-        self._bench.position = position
-        return {"angle_deg": _degrees(position.angle_rad), "target_deg": _degrees(step.target_rad)}
-
-    def _wait(self, step: Wait) -> dict[str, Any]:
-        end_s = self.clock.now_s() + step.duration_s
-        while (left_s := end_s - self.clock.now_s()) > 0:
-            self.clock.sleep(min(NAP_S, left_s))
-        return {}
-
-    def _set_temperature(self, step: SetTemperature) -> dict[str, Any]:
-        chamber = self.instruments.chamber
-        if chamber is None:
-            raise BenchError(
-                "chamber",
-                "the procedure sets a temperature, but the bench has no chamber",
-                "add one to the bench file, or take a procedure without temperatures",
-            )
-        chamber.set_temperature(step.target_c, step.key)
-        return {"target_c": step.target_c}
-
-    def _ask(self, step: Ask) -> dict[str, Any]:
-        prompt = Prompt(
-            id=step.key,
-            kind=step.kind,
-            text=step.text,
-            default=step.default,
-            unit=step.unit,
-            choices=step.choices,
-            minimum=step.minimum,
-            maximum=step.maximum,
-            action={"do": "answer"},
-        )
-        return {"answer": ask(self.person, prompt)}
-
-    def _read(self, step: Read) -> dict[str, Any]:
-        self._configure(VoltmeterSettings(self.range_v, step.nplc, step.samples))
-        chamber = self.instruments.chamber
-        if chamber is not None and not chamber.asks_person:
-            self._bench.temperature_c = chamber.temperature(step.key)
-        begun_s = self._now_s()
-        for meter in self.instruments.voltmeters:
-            meter.start()
-        samples: dict[Channel, tuple[float, ...]] = {}
-        for meter in self.instruments.voltmeters:
-            samples.update(meter.fetch())
-        position = self._bench.position
-        return {
-            "installation": step.installation,
-            "series": step.series,
-            "pass": step.pass_number,
-            "point": step.point,
-            "target_deg": _degrees(step.target_rad),
-            "angle_deg": None if position is None else _degrees(position.angle_rad),
-            "direction": 0 if position is None else position.direction,
-            "time_s": begun_s,
-            "temperature_c": self._bench.temperature_c,
-            "unit": "V",
-            "mean": [float(np.mean(samples[channel])) for channel in CHANNELS],
-            "sd": [_sd(samples[channel]) for channel in CHANNELS],
-            "samples_taken": step.samples,
-            "samples": {channel: list(samples[channel]) for channel in CHANNELS},
-        }
-
-    def _configure(self, settings: VoltmeterSettings) -> None:
-        if settings == self._bench.settings:
+        policy = step.on_failure if isinstance(step, Read | Turn) else NO_REPEAT
+        for tries_left in range(policy.repeats, -1, -1):
+            self._emit("step_started", step=index, key=step.key, attempt=self.progress.attempt(index))
+            try:
+                result = self._workbench.execute(step)
+            except WORTH_REPEATING as error:
+                if not tries_left and policy.then == "stop":
+                    raise
+                self._emit("step_failed", step=index, key=step.key, error=str(error))
+                continue
+            self._emit("step_done", step=index, key=step.key, attempt=self.progress.attempt(index), **result)
+            for sign in self.watch(result["reading"]) if "reading" in result else []:
+                self._emit("early_sign", step=index, **sign)
             return
-        for meter in self.instruments.voltmeters:
-            meter.configure(settings)
-        self._bench.settings = settings
-
-
-def _degrees(angle_rad: float | None) -> float | None:
-    """Degrees to 1e-9, so that 45° is written 45 and nothing that a scale can show is lost."""
-    return None if angle_rad is None else round(float(np.degrees(angle_rad)), 9)
-
-
-def _sd(samples: Sequence[float]) -> float | None:
-    return float(np.std(samples, ddof=1)) if len(samples) > 1 else None
+        # without its turn, a reading of the point would be taken at a wrong angle
+        last = end_of_point(self.plan, index) - 1 if isinstance(step, Turn) else index
+        self._emit("skipped", first=index, last=last, reason=f"failed {policy.repeats + 1} times")

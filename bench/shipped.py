@@ -33,10 +33,16 @@ def find_bench(name: str) -> Path:
 
 
 def _find(name: str, kind: str, called: str) -> Path:
-    """A path that exists wins over a shipped name; a name may have its `.yaml` or not."""
+    """A path wins over an edited copy in the working folder (as `bench init` makes it), that over a shipped file.
+
+    A name may have its `.yaml` or not.
+    """
     path = Path(name)
     if path.is_file():
         return path
+    copy = Path(kind) / f"{name.removesuffix('.yaml')}.yaml"
+    if path.parent == Path() and copy.is_file():
+        return copy.absolute()
     known = {file.stem: file for file in sorted(shipped_folder(kind).glob("*.yaml"))}
     shipped = known.get(name.removesuffix(".yaml"))
     if shipped is not None:

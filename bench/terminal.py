@@ -9,9 +9,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
+from bench.control import SIGN, OperatorWish, parse_wish
 from bench.plan import Plan
 from bench.record import Event
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
+
+SLOW_TO_LEARN_S: Final = 1800.0
+"""After so much bench time the pace of the run itself counts as much as the plan's expectation."""
 
 HINTS: Final = {
     PromptKind.CONFIRM: "yes/no",
@@ -38,29 +42,56 @@ class TerminalPerson:
         self._go_on = go_on
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Show the prompt and read a line. Raises `NoAnswer` at the end of the answers."""
+        """Show the prompt and read a line.
+
+        Raises `NoAnswer` at the end of the answers, `OperatorWish` when a wish is typed instead (":redo").
+        """
         self._pause()
         try:
             if prompt.picture:
                 self._console.print(Text(prompt.picture, style="dim"))
-            self._console.print(Text(f"» {prompt.text}", style="bold"))
-            self._console.print(Text(f"  [{self._hint(prompt)}] "), end="")
-            line = self._answers.readline()
+            line = self._line(prompt)
+            while line.startswith(SIGN):
+                try:
+                    raise OperatorWish(parse_wish(line))
+                except ValueError as mistake:
+                    self._console.print(Text(str(mistake)))
+                line = self._line(prompt)
         finally:
             self._go_on()
         if not line:
             raise NoAnswer(
                 "operator",
                 f"the answers ended at the question: {prompt.text}",
-                "what was recorded is kept; go on with 'bench resume'",
+                "answer the rest when the run goes on",
             )
         return Answer(prompt.id, line.strip())
+
+    def _line(self, prompt: Prompt) -> str:
+        _forget_typed_ahead(self._answers)
+        self._console.print(Text(f"» {prompt.text}", style="bold"))
+        self._console.print(Text(f"  [{self._hint(prompt)}] "), end="")
+        line = self._answers.readline()
+        if line and not self._answers.isatty():
+            self._console.print(Text(line.rstrip()))  # as a keyboard would have shown it
+        return line
 
     @staticmethod
     def _hint(prompt: Prompt) -> str:
         hint = HINTS.get(prompt.kind, prompt.unit) if not prompt.choices else ", ".join(prompt.choices)
         default = f"Enter = {prompt.default}" if prompt.default is not None else ""
         return "; ".join(part for part in (hint, default) if part)
+
+
+def _forget_typed_ahead(answers: TextIO) -> None:
+    """Drop keys that were hit before the question stood there: they cannot answer it."""
+    if not answers.isatty():
+        return
+    try:
+        import termios
+    except ImportError:  # no such terminals on this system
+        return
+    termios.tcflush(answers.fileno(), termios.TCIFLUSH)
 
 
 class ProgressBar:
@@ -72,8 +103,9 @@ class ProgressBar:
     def __init__(self, plan: Plan, console: Console, step_s: list[float]) -> None:
         self._plan = plan
         self._console = console
-        self._step_s = step_s
-        self._left_s = [*_running_sums(step_s)]
+        self._left_s = [*_running_sums(step_s), 0.0]
+        self._begun: tuple[int, float] | None = None
+        self._status = ""
         self._printed = ""
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -93,8 +125,10 @@ class ProgressBar:
         self._progress.stop()
 
     def pause(self) -> None:
-        """Take the bar away while a question stands."""
+        """Take the bar away while a question stands, and say where the run is."""
         self._progress.stop()
+        if self._status:
+            self._console.print(Text(self._status, style="dim"))
 
     def go_on(self) -> None:
         """Draw the bar again."""
@@ -104,14 +138,35 @@ class ProgressBar:
         """Take note of an event of the run."""
         if event.type == "step_started":
             index = int(event.data["step"])
-            step = self._plan.steps[index]
-            text = f"step {index + 1}/{len(self._plan.steps)}  {step.describe()}"
-            self._progress.update(
-                self._task, description=text, completed=index, left=duration(self._left_s[index])
-            )
+            left = duration(self._time_left_s(index, event.bench_s))
+            text = f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}"
+            self._status = f"{text}; {left} left"
+            self._progress.update(self._task, description=text, completed=index, left=left)
             self._print_line(index)
         elif event.type == "step_done":
             self._progress.update(self._task, completed=int(event.data["step"]) + 1)
+            self._show_reading(event)
+        elif event.type in {"early_sign", "step_failed", "wish_refused", "left_safe"}:
+            self._console.print(Text(told(event), style="bold yellow"))
+
+    def _time_left_s(self, index: int, bench_s: float) -> float:
+        """Expected time left, corrected by how long the steps so far took against what was expected."""
+        if self._begun is None:
+            self._begun = (index, bench_s)
+        first, begun_s = self._begun
+        expected_s = self._left_s[first] - self._left_s[index]
+        pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
+        return pace * self._left_s[index]
+
+    def _show_reading(self, event: Event) -> None:
+        """Keep the last reading on the screen, above the bar."""
+        reading = event.data.get("reading")
+        if reading and self._console.is_terminal:
+            values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading["mean"], strict=True))
+            where = (
+                f"installation {reading['installation']}, pass {reading['pass']}, point {reading['point']}"
+            )
+            self._console.print(Text(f"{where}: {values} {reading['unit']}", style="dim"))
 
     def _print_line(self, index: int) -> None:
         if self._console.is_terminal:
@@ -125,6 +180,21 @@ class ProgressBar:
         if number and line != self._printed:
             self._console.print(f"{line}  (step {index + 1}/{len(self._plan.steps)})", highlight=False)
             self._printed = line
+
+
+def told(event: Event) -> str:
+    """Return an event that a person should know of as one line."""
+    data = event.data
+    match event.type:
+        case "early_sign":
+            return f"look: {data['sentence']}"
+        case "step_failed":
+            return f"failed, tried again: {data['error']}"
+        case "wish_refused":
+            return f"{data['wish']} is not possible: {data['why']}"
+        case "left_safe":
+            return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
+    return event.type
 
 
 def _running_sums(step_s: list[float]) -> list[float]:

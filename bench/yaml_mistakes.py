@@ -128,6 +128,8 @@ def _keys(annotation: Any, location: tuple[int | str, ...]) -> set[str]:
         if fields:
             rest = location[position + 1 :]
             return set().union(*(_keys(f.annotation, rest) for f in fields))
+        chosen = [m for m in models if any(step in get_args(f.annotation) for f in m.model_fields.values())]
+        models = chosen or models  # the step is the word that chose among alternatives, such as a driver
     return {f.alias or name for m in models for name, f in m.model_fields.items()}
 
 

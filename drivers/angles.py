@@ -86,7 +86,8 @@ def format_dms(angle_rad: float, decimals: int = 0) -> str:
 def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
     """Return in words the classic slip that explains `read_rad` where `target_rad` was set, or None.
 
-    A slip explains a reading that lies within `tolerance_rad` of where the slip would put it: a line of
+    A slip explains a reading that lies within `tolerance_rad` of where the slip would put it, and there much
+    rather than at the target: a line of
     the scale one off (10°, 1°, 10′, 1′), the opposite side, 360° - x, two digits swapped.
     """
     difference = wrapped_rad(read_rad - target_rad)
@@ -95,7 +96,8 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
     candidates = [(abs(abs(difference) - math.radians(size)), words) for size, words in _SLIPS]
     candidates.append((abs(wrapped_rad(read_rad + target_rad)), "360° - x was read instead of x"))
     miss, words = min(candidates, key=lambda candidate: candidate[0])
-    if miss <= tolerance_rad:
+    # a miss of 31″ lies within 30″ of a whole minute, too, but is no slip of one
+    if miss <= min(tolerance_rad, abs(difference) / 3):
         return words
     return "two digits are swapped" if _digits_swapped(read_rad, target_rad) else None
 

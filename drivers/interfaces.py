@@ -150,6 +150,18 @@ class Instrument(Protocol):
         ...
 
 
+@runtime_checkable
+class SelfTesting(Protocol):
+    """An instrument that can test itself."""
+
+    def self_test(self) -> str:
+        """Have the instrument test itself; return what it finds wrong, empty for nothing.
+
+        What was set before is to be set anew. Raises `InstrumentLost`, `BadReading`.
+        """
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class VoltmeterSettings:
     """How a voltmeter reads: range in volts, integration in power-line cycles, samples per reading."""
@@ -215,6 +227,13 @@ class ThermalChamber(Instrument, Protocol):
 
     def set_temperature(self, target_c: float, key: str) -> None:
         """Demand a temperature, °C. Raises `LimitExceeded` before anything is sent, `InstrumentLost`."""
+        ...
+
+    def make_safe(self) -> str:
+        """Go to the safe setting; return what a person must still do, empty for nothing.
+
+        Raises `BenchError` where the chamber does not obey; it is called on every way out of a run.
+        """
         ...
 
     def temperature(self, key: str) -> float:

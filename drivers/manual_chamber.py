@@ -20,12 +20,22 @@ _MAX_ATTEMPTS: Final = 5
 class ManualChamber:
     """A `ThermalChamber` whose controller is a person; limits in °C."""
 
-    def __init__(self, name: str, person: Person, *, minimum_c: float, maximum_c: float) -> None:
+    def __init__(
+        self,
+        name: str,
+        person: Person,
+        *,
+        minimum_c: float,
+        maximum_c: float,
+        safe_c: float | None = None,
+    ) -> None:
         self.name = name
         self.asks_person = True
         self._person = person
         self._minimum_c = minimum_c
         self._maximum_c = maximum_c
+        self._safe_c = safe_c
+        self._set = False
 
     def open(self) -> Identity:
         """Return what stands in the record for a chamber without an interface; nothing is asked."""
@@ -33,6 +43,13 @@ class ManualChamber:
 
     def close(self) -> None:
         """Nothing to release: what the chamber is left at is the person's to decide."""
+
+    def make_safe(self) -> str:
+        """Return what the person must do where a temperature was set; nobody is asked on the way out."""
+        if not self._set:
+            return ""
+        safe = "off" if self._safe_c is None else f"to {self._safe_c:g} °C"
+        return f"set the chamber {safe} by hand"
 
     def set_temperature(self, target_c: float, key: str) -> None:
         """Ask the person to set `target_c` and to confirm it.
@@ -46,6 +63,7 @@ class ManualChamber:
                 f"{target_c:g} °C is outside {self._minimum_c:g} to {self._maximum_c:g} °C",
                 "change the temperature in the procedure or the limits in the bench file",
             )
+        self._set = True
         for attempt in range(1, _MAX_ATTEMPTS + 1):
             text = self._ask(
                 Prompt(

@@ -67,6 +67,8 @@ class Connection:
     def __init__(self, visa: MessageBasedResource) -> None:
         self._visa = visa
         self._interface = _interface(visa)
+        self._socket = self._interface if isinstance(self._interface, socket.socket) else None
+        self._end = b"\n"
         self._clock: Clock = SystemClock()
         self.by_bytes = _has_fileno(self._interface)
 
@@ -90,20 +92,25 @@ class Connection:
 
     def interrupt(self) -> None:
         """End another thread's wait on a socket, which closing alone would not. Never raises."""
-        if isinstance(self._interface, socket.socket):
+        if self._socket is not None:
             with contextlib.suppress(OSError):
-                self._interface.shutdown(socket.SHUT_RDWR)
+                self._socket.shutdown(socket.SHUT_RDWR)
 
     def send(self, data: bytes, timeout_s: float) -> bool:
         """Send the bytes; return False when the peer takes none within `timeout_s`.
 
-        Looked at beforehand on a socket, where pyvisa-py would wait without end.
+        A socket is written to directly: pyvisa-py would wait for such a peer without end, and takes
+        longer for its own bookkeeping than the bytes need.
         """
-        if isinstance(self._interface, socket.socket):
-            writable = select.select([], [self._interface], [], timeout_s)[1]
-            if not writable:
-                return False
-        self._visa.write_raw(data)
+        if self._socket is None:
+            self._visa.write_raw(data)
+            return True
+        while data:
+            try:
+                data = data[self._socket.send(data) :]
+            except BlockingIOError:
+                if not select.select([], [self._socket], [], timeout_s)[1]:
+                    return False
         return True
 
     def wait(self, timeout_s: float) -> bool:
@@ -113,16 +120,22 @@ class Connection:
     def take(self) -> tuple[bytes, bool]:
         """Return what has arrived, up to the end of a line, and whether more stands behind that end.
 
-        To be called when `wait` has said yes; no bytes at all mean that the peer has closed.
+        To be called when `wait` has said yes; no bytes at all mean that the peer has closed. What stands
+        behind the end is lost on a socket: a connection on which that happens is given up.
         """
-        if isinstance(self._interface, socket.socket):
-            arrived = len(self._interface.recv(_CHUNK_BYTES, socket.MSG_PEEK))
-        else:
-            arrived = max(1, self._buffered())
-        if arrived == 0:
-            return b"", False
-        data = self._visa.read_bytes(arrived, break_on_termchar=True)
-        return data, len(data) < arrived
+        if self._socket is not None:
+            arrived = self.take_all()
+            line_bytes = (arrived.find(self._end) + 1) or len(arrived)
+            return arrived[:line_bytes], line_bytes < len(arrived)
+        waiting = max(1, self._buffered())
+        data = self._visa.read_bytes(waiting, break_on_termchar=True)
+        return data, len(data) < waiting
+
+    def take_all(self) -> bytes:
+        """Return what has arrived, lines or not; as `take` otherwise."""
+        if self._socket is not None:
+            return self._socket.recv(_CHUNK_BYTES)
+        return self._visa.read_bytes(max(1, self._buffered()))
 
     def take_message(self, timeout_s: float) -> bytes:
         """Return one whole message, where the interface marks its end (`by_bytes` is False)."""
@@ -156,15 +169,17 @@ class Connection:
 
         With the delay, a query after a write waits some 40 ms for the peer's acknowledgement.
         """
-        if isinstance(self._interface, socket.socket):
-            code = self._interface.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if self._socket is not None:
+            code = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             if code:
                 raise OSError(code, os.strerror(code))
-            self._interface.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.setblocking(False)
 
     def _set_up(self, timeout_s: float, read_termination: str, serial: SerialSettings) -> None:
         visa = self._visa
         visa.timeout = timeout_s * 1000.0
+        self._end = read_termination[-1:].encode("ascii")
         if isinstance(visa, (TCPIPSocket, SerialInstrument)):
             visa.read_termination = read_termination
         if isinstance(visa, SerialInstrument):

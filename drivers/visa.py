@@ -14,6 +14,7 @@ from typing import Final
 
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
+from drivers.prologix import SCHEME, AdapterConnection
 from drivers.pyvisa_connection import Connection, SerialSettings
 from drivers.wire_causes import probable_cause
 
@@ -31,8 +32,9 @@ _MAX_REPLY_BYTES: Final = 1 << 20
 class MessageSession:
     """One instrument's wire: text commands out, one line of text back for each query.
 
-    `name` is the instrument's name on the bench, `resource` a VISA resource string. The terminations and
-    `serial` hold for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves.
+    `name` is the instrument's name on the bench, `resource` a VISA resource string, or for an instrument
+    behind a GPIB adapter one such as `prologix://192.168.1.10:1234/22`. The terminations and `serial` hold
+    for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves.
     Safe to use from several threads; give one resource to one session only.
     """
 
@@ -59,7 +61,7 @@ class MessageSession:
         self._wanted = False
         self._desynchronised = False
         self._count = 0
-        self._connection: Connection | None = None
+        self._connection: Connection | AdapterConnection | None = None
 
     @property
     def connection(self) -> int | None:
@@ -67,7 +69,7 @@ class MessageSession:
 
         A driver keeps it with the settings that it sent: any other number means to prove them again.
         """
-        return None if self._connection is None else self._count
+        return self._count if self._stands() else None
 
     def open(self) -> None:
         """Connect and prove that somebody is there; nothing is done when connected already.
@@ -76,6 +78,9 @@ class MessageSession:
         """
         with self._lock:
             self._wanted = True
+            if self._connection is not None and not self._stands():
+                self._desynchronised = True
+                self._drop()
             self._connected()
 
     def close(self) -> None:
@@ -128,7 +133,7 @@ class MessageSession:
             return reply
 
     @contextlib.contextmanager
-    def _exchange(self, command: str) -> Iterator[Connection]:
+    def _exchange(self, command: str) -> Iterator[Connection | AdapterConnection]:
         """Hold the lock over one exchange; whatever goes wrong in it, the connection is given up."""
         with self._lock:
             if not self._wanted:
@@ -146,16 +151,11 @@ class MessageSession:
                     raise
                 raise self._lost(error, f" at {command}") from error
 
-    def _connected(self) -> Connection:
+    def _connected(self) -> Connection | AdapterConnection:
         """Return the connection, made and proved if there is none."""
         if self._connection is None:
             try:
-                connection = Connection.open(
-                    self.resource,
-                    timeout_s=self.timeout_s,
-                    read_termination=self._read_termination,
-                    serial=self.serial,
-                )
+                connection = self._open()
                 if self._desynchronised:
                     self._resynchronise(connection)
             except Exception as error:
@@ -167,10 +167,30 @@ class MessageSession:
             self._connection = connection
         return self._connection
 
-    def _resynchronise(self, connection: Connection) -> None:
+    def _stands(self) -> bool:
+        """Whether there is a connection, and no other instrument on the same adapter has lost it."""
+        connection = self._connection
+        return connection is not None and not (
+            isinstance(connection, AdapterConnection) and not connection.stands
+        )
+
+    def _open(self) -> Connection | AdapterConnection:
+        if self.resource.startswith(SCHEME):
+            return AdapterConnection.open(self.resource, self.timeout_s)
+        return Connection.open(
+            self.resource,
+            timeout_s=self.timeout_s,
+            read_termination=self._read_termination,
+            serial=self.serial,
+        )
+
+    def _resynchronise(self, connection: Connection | AdapterConnection) -> None:
         quiet = False
         try:
-            quiet = connection.resynchronise(self.serial.device_clear, self.timeout_s)
+            if isinstance(connection, AdapterConnection):
+                quiet = connection.resynchronise()
+            else:
+                quiet = connection.resynchronise(self.serial.device_clear, self.timeout_s)
         finally:
             if not quiet:
                 connection.close()
@@ -190,7 +210,7 @@ class MessageSession:
         cause, remedy = probable_cause(error)
         return InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
 
-    def _send(self, connection: Connection, command: str) -> None:
+    def _send(self, connection: Connection | AdapterConnection, command: str) -> None:
         self._log(">", command)
         if not connection.send((command + self._write_termination).encode("ascii"), self.timeout_s):
             raise InstrumentLost(
@@ -199,9 +219,9 @@ class MessageSession:
                 "switch the instrument off and on and start again",
             )
 
-    def _receive(self, connection: Connection, command: str, allowed_s: float) -> str:
+    def _receive(self, connection: Connection | AdapterConnection, command: str, allowed_s: float) -> str:
         """Return one reply, decoded, without its termination (a CR before it is let pass)."""
-        if connection.by_bytes:
+        if isinstance(connection, Connection) and connection.by_bytes:
             data = self._read_line(connection, command, allowed_s)
         else:
             data = connection.take_message(allowed_s)
@@ -253,9 +273,9 @@ class MessageSession:
             "check that the instrument is on and nobody else uses it, then take this step again",
         )
 
-    def _refuse_leftovers(self, connection: Connection, command: str) -> None:
+    def _refuse_leftovers(self, connection: Connection | AdapterConnection, command: str) -> None:
         """Refuse to send when something unasked-for waits, or the peer has gone: a write would not notice."""
-        if not connection.by_bytes or not connection.wait(0.0):
+        if not isinstance(connection, Connection) or not connection.by_bytes or not connection.wait(0.0):
             return
         data, _ = connection.take()
         if not data:

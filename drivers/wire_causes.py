@@ -85,8 +85,17 @@ _UNKNOWN_HOST: Final = (
 )
 
 
+class WireError(Exception):
+    """What went wrong on a wire of our own making: cause and remedy are known where it is raised."""
+
+    def __init__(self, cause: str, remedy: str) -> None:
+        super().__init__(f"{cause}; {remedy}")
+        self.cause = cause
+        self.remedy = remedy
+
+
 def probable_cause(error: BaseException) -> Cause:
-    """Return (what happened, what to do) for an exception out of pyvisa, pyvisa-py, pyserial or a socket.
+    """Return (what happened, what to do) for an exception out of pyvisa, pyvisa-py, pyserial, a socket.
 
     The first half continues a sentence that begins with the resource. pyvisa-py wraps some causes in a
     plain `Exception`, so those that it was raised from are looked at as well.
@@ -101,6 +110,8 @@ def probable_cause(error: BaseException) -> Cause:
 
 def _known(error: BaseException) -> Cause | None:
     match error:
+        case WireError():
+            return error.cause, error.remedy
         case socket.gaierror():
             return _UNKNOWN_HOST
         case VisaIOError():

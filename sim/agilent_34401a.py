@@ -71,6 +71,9 @@ class Agilent34401A(ScpiInstrument):
     specification. `terminals` is the front panel's switch.
     """
 
+    model = "34401A"
+    _trigger_type: type[Trigger] = Trigger
+
     def __init__(
         self,
         source: Source,
@@ -89,15 +92,17 @@ class Agilent34401A(ScpiInstrument):
         self._calibration_secured = True
         self.configuration = Configuration(self._configuration_changed)
         self.math = Math(lambda: self.configuration.function, self._note)
-        self.trigger = Trigger(
+        self._converter = Converter(source, noise=noise, accuracy=accuracy, line_hz=line_hz)
+        self.trigger = self._trigger_type(
             clock,
             self.configuration,
-            Converter(source, noise=noise, accuracy=accuracy, line_hz=line_hz),
+            self._converter,
             self.math,
             self._overload,
             self.device_clear_pending,
         )
         self._remote = False
+        self._locked = False
         self._clear_text()
         self.display_on = True
         for part in (self.configuration, self.trigger, self.math):
@@ -146,7 +151,24 @@ class Agilent34401A(ScpiInstrument):
     def power_cycle(self) -> None:
         """Switch off and on: all but beeper, power-on clear, dBm reference and calibration is lost."""
         super().power_cycle()
-        self._remote = False
+        self._set_remote(False)
+
+    def press_local(self) -> None:
+        """Press LOCAL (Shift) on the front panel: an RS-232 meter refuses commands until SYSTem:REMote.
+
+        Locked by SYSTem:RWLock the key does nothing.
+        """
+        if not self._locked:
+            self._remote = False
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether the voltage at the terminals is beyond every range, whatever the source says."""
+        return self._converter.overloaded
+
+    @overloaded.setter
+    def overloaded(self, overloaded: bool) -> None:
+        self._converter.overloaded = overloaded
 
     @property
     def display_text(self) -> str:
@@ -212,7 +234,7 @@ class Agilent34401A(ScpiInstrument):
             Command("SYSTem:VERSion?", lambda: _SCPI_VERSION),
             Command("SYSTem:LOCal", lambda: self._set_remote(False)),
             Command("SYSTem:REMote", lambda: self._set_remote(True)),
-            Command("SYSTem:RWLock", lambda: self._set_remote(True)),
+            Command("SYSTem:RWLock", lambda: self._set_remote(True, locked=True)),
         ]
 
     def _calibration_commands(self) -> list[Command]:
@@ -241,8 +263,9 @@ class Agilent34401A(ScpiInstrument):
     def _set_beeper(self, flag: str) -> None:
         self.beeper_enabled = flag == "1"
 
-    def _set_remote(self, remote: bool) -> None:
+    def _set_remote(self, remote: bool, locked: bool = False) -> None:
         self._remote = remote
+        self._locked = locked
 
     def _refuse_calibration(self, _value: Value = "") -> str | None:
         raise ScpiError(702)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Literal, Protocol
 if TYPE_CHECKING:
     import numpy as np
 
-    from sim.agilent_34401a_functions import Configuration
+    from sim.agilent_34401a_functions import Function, FunctionSettings
 
 Accuracy = Literal["90 days"]
 
@@ -20,13 +20,14 @@ OVERLOAD: Final = 9.9e37
 
 _OVER_RANGE: Final = 1.2
 _UNDER_RANGE: Final = 0.1
-_NO_OVER_RANGE_V: Final = 1000.0
+_NO_OVER_RANGE_V: Final = (300.0, 1000.0)
 
 _SPEC_90_DAYS: Final = {
     0.1: (40e-6, 35e-6),
     1.0: (30e-6, 7e-6),
     10.0: (20e-6, 5e-6),
     100.0: (35e-6, 6e-6),
+    300.0: (35e-6, 20e-6),
     1000.0: (35e-6, 10e-6),
 }
 """Limits of error of DC volts, 23 ± 5 °C: fractions of the reading and of the range."""
@@ -36,6 +37,7 @@ _TEMPERATURE_COEFFICIENT: Final = {
     1.0: (5e-6, 1e-6),
     10.0: (5e-6, 1e-6),
     100.0: (5e-6, 1e-6),
+    300.0: (5e-6, 3e-6),
     1000.0: (5e-6, 1e-6),
 }
 """What each °C outside 23 ± 5 °C adds to the limits, fractions of the reading and of the range."""
@@ -43,7 +45,9 @@ _TEMPERATURE_COEFFICIENT: Final = {
 _REFERENCE_C: Final = 23.0
 _REFERENCE_WIDTH_C: Final = 5.0
 
-_NOISE_OF_RANGE: Final = {100.0: 1e-7, 10.0: 2.5e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5}
+_NOISE_OF_RANGE: Final = {
+    200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
+}  # fmt: skip
 """Standard deviation of one sample as a fraction of the range, for each NPLC."""
 
 _NOISE_OF_INPUT_V: Final = 0.4e-6
@@ -82,6 +86,35 @@ class Source(Protocol):
         ...
 
 
+class Measurement(Protocol):
+    """How a sample is to be taken: what the converter has to know of a meter's settings."""
+
+    @property
+    def function(self) -> Function:
+        """The measuring function."""
+        ...
+
+    @property
+    def settings(self) -> FunctionSettings:
+        """Its range, which autorange changes, and its resolution."""
+        ...
+
+    @property
+    def nplc(self) -> float:
+        """Integration in power-line cycles, or the gate time in s where it counts."""
+        ...
+
+    @property
+    def autozero(self) -> bool:
+        """Whether the zero is measured with each sample."""
+        ...
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """The slowest alternating signal that is measured right, Hz."""
+        ...
+
+
 class Converter:
     """Turns the voltage at the terminals into readings.
 
@@ -89,7 +122,8 @@ class Converter:
     it is the exact value (a reply still carries 8 decimals). With `accuracy` the meter has a gain and an
     offset of its own for each range, drawn once within half the limits of error, and a temperature
     coefficient. The terminals carry a DC voltage and nothing else: AC functions, current, frequency and
-    period read zero, resistance, continuity and diode see open leads, the ratio has no reference.
+    period read zero, resistance, continuity and diode see open leads, the ratio has no reference. While
+    `overloaded` is set, every sample is beyond the range.
     """
 
     def __init__(self, source: Source, *, noise: bool, accuracy: Accuracy | None, line_hz: float) -> None:
@@ -99,10 +133,11 @@ class Converter:
         self._line_hz = line_hz
         self._errors: dict[float, tuple[float, float, float, float]] = {}
         self._generator: np.random.Generator | None = None
+        self.overloaded = False
 
     # --- time ---------------------------------------------------------------------------------------
 
-    def integration_s(self, configuration: Configuration) -> float:
+    def integration_s(self, configuration: Measurement) -> float:
         """Return how long the signal is integrated for one sample, s."""
         function = configuration.function
         if function.has_aperture:
@@ -111,12 +146,12 @@ class Converter:
             return _QUICK_TEST_S
         return _FAST_INTEGRATION_S.get(configuration.nplc, configuration.nplc / self._line_hz)
 
-    def sample_s(self, configuration: Configuration) -> float:
+    def sample_s(self, configuration: Measurement) -> float:
         """Return how long one sample takes without its delay, s; autozero measures the zero as long again."""
         doubled = configuration.function.has_nplc and configuration.autozero
         return self.integration_s(configuration) * (2.0 if doubled else 1.0)
 
-    def settling_s(self, configuration: Configuration) -> float:
+    def settling_s(self, configuration: Measurement) -> float:
         """Return the automatic trigger delay, s."""
         function = configuration.function
         if function.name.endswith(":AC"):
@@ -132,11 +167,13 @@ class Converter:
         self._source.new_reading()
         self._generator = self._source.random("voltmeter noise") if self._noise else None
 
-    def sample(self, configuration: Configuration, time_s: float) -> float:
+    def sample(self, configuration: Measurement, time_s: float) -> float:
         """Return one sample of the selected function, taken at `time_s`; ±`OVERLOAD` outside the range.
 
         Autorange changes the range in the settings, as on the meter.
         """
+        if self.overloaded:
+            return OVERLOAD
         match configuration.function.name:
             case "VOLT":
                 return self._volts(configuration, self._source.signal_v(time_s))
@@ -145,12 +182,12 @@ class Converter:
             case _:
                 return 0.0
 
-    def step(self, configuration: Configuration) -> float:
+    def step(self, configuration: Measurement) -> float:
         """Return the step to which samples are rounded, 0 when they are not."""
         settings = configuration.settings
         return settings.range_value * settings.resolution if self._noise else 0.0
 
-    def _volts(self, configuration: Configuration, signal_v: float) -> float:
+    def _volts(self, configuration: Measurement, signal_v: float) -> float:
         settings = configuration.settings
         if settings.autorange:
             settings.range_value = _autorange(signal_v, settings.range_value, configuration.function.ranges)
@@ -184,7 +221,7 @@ class Converter:
 
 
 def _full_scale(range_v: float) -> float:
-    return range_v if range_v == _NO_OVER_RANGE_V else range_v * _OVER_RANGE
+    return range_v if range_v in _NO_OVER_RANGE_V else range_v * _OVER_RANGE
 
 
 def _autorange(signal_v: float, range_v: float, ranges: tuple[float, ...]) -> float:

@@ -59,7 +59,7 @@ class Function:
     @property
     def has_nplc(self) -> bool:
         """Whether it integrates over power-line cycles and its autozero doubles the time."""
-        return self.integration is NPLC_BY_RESOLUTION
+        return not self.has_aperture and self.integration is not _DISPLAY_ONLY
 
     @property
     def has_aperture(self) -> bool:
@@ -152,8 +152,8 @@ class Configuration:
     def configure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> None:
         """Select a function with range and resolution, and the presets that CONFigure brings.
 
-        Raises `ScpiError` -222 for a range that there is not, 532 for too fine a resolution; nothing is
-        changed then.
+        Raises `ScpiError` -222 for a range that there is not, 532 for too fine a resolution, -221 for a
+        number as resolution where the range is left to autorange; nothing is changed then.
         """
         fresh = _default_settings(function)
         if function.expected:
@@ -164,11 +164,13 @@ class Configuration:
             within(fresh.expected, low, high)
             full_scale = fresh.expected
         else:
+            if range_value == DEF and not isinstance(resolution, str):
+                raise ScpiError(-221)
             if range_value != DEF:
-                fresh.range_value = _chosen_range(function, range_value)
+                fresh.range_value = chosen_range(function, range_value)
                 fresh.autorange = False
             full_scale = fresh.range_value
-        fresh.resolution = _chosen_resolution(function, resolution, full_scale)
+        fresh.resolution = chosen_resolution(function, resolution, full_scale)
         self.function = function
         self.by_function[function.keeps_range_of or function.name] = fresh
         self.autozero = not function.has_nplc or self.nplc >= 1.0
@@ -210,7 +212,7 @@ class Configuration:
         settings = partial(self.settings_of, function)
 
         def set_range(value: Value) -> None:
-            settings().range_value = _chosen_range(function, value)
+            settings().range_value = chosen_range(function, value)
             settings().autorange = False
             self._on_change()
 
@@ -236,7 +238,7 @@ class Configuration:
         settings = partial(self.settings_of, function)
 
         def set_resolution(value: Value) -> None:
-            settings().resolution = _chosen_resolution(function, value, settings().range_value)
+            settings().resolution = chosen_resolution(function, value, settings().range_value)
             self._on_change()
 
         def read_resolution(word: str = "") -> str:
@@ -294,14 +296,14 @@ class Configuration:
         self.high_impedance = flag == "1"
 
 
-def _chosen_range(function: Function, value: Value) -> float:
+def chosen_range(function: Function, value: Value) -> float:
     """Return the smallest range that holds `value`; MIN and MAX are the ends. Raises -222."""
     if isinstance(value, str):
         return function.ranges[0] if value == MIN else function.ranges[-1]
     return next_above(value, function.ranges)
 
 
-def _chosen_resolution(function: Function, value: Value, full_scale: float) -> float:
+def chosen_resolution(function: Function, value: Value, full_scale: float) -> float:
     """Return the coarsest resolution (fraction of the range) that is at least as fine as `value`.
 
     Raises `ScpiError` 532 when even the finest is too coarse, -222 for a resolution that is not positive.

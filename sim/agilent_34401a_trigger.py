@@ -43,7 +43,12 @@ class Trigger:
     """Trigger settings, the measurement under way, and the memory.
 
     `on_overload` is told of each reading outside the range, `interrupted` whether a device clear has come in.
+    A later model has a memory of its own depth, which keeps the latest readings, those of READ? as well.
     """
+
+    memory_depth = MEMORY_DEPTH
+    most_readings = _MOST_READINGS
+    keeps_latest = False
 
     def __init__(
         self,
@@ -89,7 +94,8 @@ class Trigger:
         Raises `ScpiError` -213 when one is under way, 531 when the memory is too small, 522 as `read`.
         """
         self._require_idle()
-        if self.stores and self.trigger_count * self.sample_count > MEMORY_DEPTH:
+        readings = self.trigger_count * self.sample_count
+        if self.stores and not self.keeps_latest and readings > self.memory_depth:
             raise ScpiError(531)
         self._begin(keeps=self.stores)
 
@@ -103,7 +109,7 @@ class Trigger:
         self._require_idle()
         if self.source == "BUS":
             raise ScpiError(-214)
-        self._begin(keeps=False)
+        self._begin(keeps=self.keeps_latest)
         if self.state is State.WAITING:
             return None
         self.complete()
@@ -141,7 +147,7 @@ class Trigger:
             raise ScpiError(-213)
 
     def _begin(self, keeps: bool) -> None:
-        if self.trigger_count * self.sample_count > _MOST_READINGS:
+        if self.trigger_count * self.sample_count > self.most_readings:
             raise ScpiError(522)
         self._memory = []
         self._readings = []
@@ -175,7 +181,7 @@ class Trigger:
             step = 0.0 if self._math.enabled else self._converter.step(self._configuration)
             self._readings.append(reading_text(value, step))
         if self._keeps:
-            self._memory = self._readings[:MEMORY_DEPTH]
+            self._memory = self._readings[-self.memory_depth :]
         self._times_s = []
         self.state = State.WAITING if self._triggers_left > 0 else State.IDLE
 
@@ -202,9 +208,9 @@ class Trigger:
             Command("TRIGger[:SEQuence]:DELay:AUTO", self._set_delay_auto, (Boolean(),)),
             Command("TRIGger[:SEQuence]:DELay:AUTO?", lambda: str(int(self.delay_s is None))),
             Command("TRIGger[:SEQuence]:COUNt", self._set_trigger_count, count),
-            Command("TRIGger[:SEQuence]:COUNt?", lambda w="": _count_text(w, self.trigger_count), word),
+            Command("TRIGger[:SEQuence]:COUNt?", lambda w="": self._count_text(w, self.trigger_count), word),
             Command("SAMPle:COUNt", self._set_sample_count, (Number(),)),
-            Command("SAMPle:COUNt?", lambda w="": _count_text(w, self.sample_count), word),
+            Command("SAMPle:COUNt?", lambda w="": self._count_text(w, self.sample_count), word),
             Command("DATA:FEED", self._set_feed, (Choice(("RDG_STORE",)), Text())),
             Command("DATA:FEED?", lambda: quoted("CALC" if self.stores else "")),
             Command("DATA:POINts?", lambda: integer(len(self._memory))),
@@ -232,11 +238,11 @@ class Trigger:
         self.stop_waiting()
 
     def _set_trigger_count(self, value: Value) -> None:
-        self.trigger_count = math.inf if value == INF else _count(value)
+        self.trigger_count = math.inf if value == INF else self._count(value)
         self.stop_waiting()
 
     def _set_sample_count(self, value: Value) -> None:
-        self.sample_count = _count(value)
+        self.sample_count = self._count(value)
         self.stop_waiting()
 
     def _set_feed(self, _memory: str, feed: str) -> None:
@@ -244,15 +250,13 @@ class Trigger:
             raise ScpiError(-224)
         self.stores = feed != ""
 
+    def _count(self, value: Value) -> int:
+        """Return a count, rounded; MIN and MAX resolved. Raises `ScpiError` -222 outside 1…`most_readings`."""
+        if isinstance(value, str):
+            return 1 if value == MIN else self.most_readings
+        return math.floor(within(math.floor(value + 0.5), 1, self.most_readings))
 
-def _count(value: Value) -> int:
-    """Return a count, rounded; MIN and MAX resolved. Raises `ScpiError` -222 outside 1…50000."""
-    if isinstance(value, str):
-        return 1 if value == MIN else _MOST_READINGS
-    return math.floor(within(math.floor(value + 0.5), 1, _MOST_READINGS))
-
-
-def _count_text(word: str, value: float) -> str:
-    if word:
-        return integer(1 if word == MIN else _MOST_READINGS)
-    return _INFINITE if math.isinf(value) else integer(value)
+    def _count_text(self, word: str, value: float) -> str:
+        if word:
+            return integer(1 if word == MIN else self.most_readings)
+        return _INFINITE if math.isinf(value) else integer(value)

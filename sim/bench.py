@@ -1,71 +1,203 @@
-"""A whole simulated bench: meters on real sockets, coupled by one world and one clock."""
+"""A whole simulated bench: instruments on real wires, coupled by one world and one clock."""
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Final, Literal
 
+from drivers.interfaces import BenchError
 from sim.agilent_34401a import Agilent34401A, Interface
 from sim.clock import VirtualClock
+from sim.faults import FaultKind, FaultyInstrument
+from sim.keysight_34461a import Keysight34461A
+from sim.keysight_34970a import Keysight34970A
+from sim.prologix import GpibAdapter
 from sim.server import TcpServer
-from sim.session import Traffic
+from sim.session import Instrument
+from sim.terminal import TerminalServer
+from sim.traffic import Traffic
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Iterator, Sequence
     from types import TracebackType
 
+    from drivers.clock import Clock
     from drivers.interfaces import Channel
     from sim.agilent_34401a_converter import Accuracy
-    from sim.session import FaultHook
+    from sim.faults import Fault
+    from sim.scpi import ScpiInstrument
+    from sim.session import Dialect
     from sim.world import World
+
+OF_INSTRUMENT: Final = frozenset(
+    {FaultKind.HANG, FaultKind.POWER_CYCLE, FaultKind.OVERLOAD, FaultKind.LOCAL, FaultKind.ERROR}
+)
+"""The faults that are of the instrument and not of its wire."""
 
 
 @dataclass(frozen=True)
 class SimulatedMeter:
-    """One 34401A: the channel it is wired to, and what it is like (see `Agilent34401A`)."""
+    """One voltmeter: the channel it is wired to, and what it is like (see `Agilent34401A`)."""
 
     channel: Channel
     interface: Interface = "lan"
     noise: bool = True
     accuracy: Accuracy | None = None
     line_hz: float = 50.0
-    port: int = 0
-    fault: FaultHook | None = None
+    model: Literal["34401A", "34461A"] = "34401A"
+
+    def on(self, world: World, clock: Clock | None = None) -> ScpiInstrument:
+        """Return the meter, wired to its channel of a world; `clock` is its own where it is not the world's.
+
+        Raises `ValueError` for an interface that the model does not have.
+        """
+        wiring, lives_by = world.terminals(self.channel), clock or world.clock
+        if self.model == "34401A":
+            return Agilent34401A(
+                wiring,
+                lives_by,
+                interface=self.interface,
+                noise=self.noise,
+                accuracy=self.accuracy,
+                line_hz=self.line_hz,
+            )
+        if self.interface == "rs232":
+            raise ValueError(f"a {self.model} has no RS-232")
+        return Keysight34461A(
+            wiring,
+            lives_by,
+            interface=self.interface,
+            noise=self.noise,
+            accuracy=self.accuracy,
+            line_hz=self.line_hz,
+        )
+
+
+@dataclass(frozen=True)
+class SimulatedMultiplexer:
+    """One multichannel voltmeter: which channel of the block is on which of its own, with the cards it takes.
+
+    The other fields are as of `SimulatedMeter`; by LAN it is a 34972A, else a 34970A.
+    """
+
+    inputs: Mapping[Channel, int]
+    interface: Interface = "lan"
+    noise: bool = True
+    accuracy: Accuracy | None = None
+    line_hz: float = 50.0
+
+    def on(self, world: World, clock: Clock | None = None) -> ScpiInstrument:
+        """Return the meter, wired to its channels of a world; `clock` as for `SimulatedMeter`."""
+        return Keysight34970A(
+            {number: world.terminals(channel) for channel, number in self.inputs.items()},
+            clock or world.clock,
+            model="34972A" if self.interface == "lan" else "34970A",
+            cards={100 * (number // 100): "34901A" for number in self.inputs.values()},
+            interface=self.interface,
+            noise=self.noise,
+            accuracy=self.accuracy,
+            line_hz=self.line_hz,
+        )
 
 
 class SimulatedBench:
-    """Serves the meters of a world on loopback while its context lasts.
+    """Serves the instruments of a world while its context lasts.
 
-    `meters` gives each by its name on the bench. Within the context `resources` holds the VISA name of
-    each, `meters` the instruments and `servers` their servers. A virtual clock of the world then waits,
+    `instruments` gives each by its name on the bench, a meter or any dialect over the world; a dialect may
+    say its `model`. Each gets a TCP port of `host`, free ones or `first_port` and those after it, and a
+    pseudo-terminal when `with_terminals` names it or is True. `buses` says which meters are on the GPIB bus of
+    an adapter instead, `{"adapter": {"voltmeter.x": 22, …}}`: the adapter then has the port, and all of its
+    meters share it. `faults` are armed for the instruments that they name, or for all that can have them.
+    Within the context `resources` holds the VISA name of each, `dialects` what was given, `faulty` and `wired`
+    the layers around them, `servers` and `terminals` their wires. A virtual clock of the world then waits,
     before it moves, until every command that is on a wire has been carried out.
     """
 
-    def __init__(self, world: World, meters: Mapping[str, SimulatedMeter]) -> None:
+    def __init__(
+        self,
+        world: World,
+        instruments: Mapping[str, Dialect | SimulatedMeter | SimulatedMultiplexer],
+        *,
+        host: str = "127.0.0.1",
+        first_port: int = 0,
+        with_terminals: bool | Collection[str] = False,
+        buses: Mapping[str, Mapping[str, int]] | None = None,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        """Raise `ValueError` for a fault of an instrument that is not there or cannot have it."""
         self.world = world
         self.traffic = Traffic()
-        self.meters = {
-            name: Agilent34401A(
-                world.terminals(meter.channel),
-                world.clock,
-                interface=meter.interface,
-                noise=meter.noise,
-                accuracy=meter.accuracy,
-                line_hz=meter.line_hz,
-            )
-            for name, meter in meters.items()
+        self.dialects: dict[str, Dialect] = {}
+        self.faulty: dict[str, FaultyInstrument] = {}
+        self._on_bus: dict[str, tuple[str, int]] = {
+            name: (adapter, address)
+            for adapter, members in (buses or {}).items()
+            for name, address in members.items()
         }
-        self.servers = {
-            name: TcpServer(self.meters[name], port=meter.port, fault=meter.fault, traffic=self.traffic)
-            for name, meter in meters.items()
+        for adapter, members in (buses or {}).items():
+            self._attach(adapter, {name: instruments[name] for name in members})
+        for name, given in instruments.items():
+            if name not in self._on_bus:
+                made = given.on(world) if isinstance(given, SimulatedMeter | SimulatedMultiplexer) else given
+                self._add(name, made)
+        ported = [name for name in self.dialects if name not in self._on_bus]
+        wired = {
+            name: Instrument(self.faulty[name], self.traffic, self.faulty[name].wire_fault) for name in ported
         }
+        servers = {
+            name: TcpServer(wired[name], host=host, port=first_port + number if first_port else 0)
+            for number, name in enumerate(ported)
+        }
+        with_one = ported if with_terminals is True else with_terminals or ()
+        terminals = {name: TerminalServer(wired[name]) for name in ported if name in with_one}
+        self.wired = wired | {name: wired[adapter] for name, (adapter, _) in self._on_bus.items()}
+        self.servers = servers | {name: servers[adapter] for name, (adapter, _) in self._on_bus.items()}
+        self.terminals = terminals | {
+            name: terminals[adapter] for name, (adapter, _) in self._on_bus.items() if adapter in terminals
+        }
+        self._started: dict[str, tuple[TcpServer, TerminalServer | None]] = {
+            name: (server, terminals.get(name)) for name, server in servers.items()
+        }
+        for fault in faults:
+            self.arm(fault)
         self._stack = ExitStack()
 
+    def _add(self, name: str, dialect: Dialect) -> FaultyInstrument:
+        self.dialects[name] = dialect
+        self.faulty[name] = FaultyInstrument(dialect, name, self.world.settings.seed)
+        return self.faulty[name]
+
+    def _attach(
+        self, adapter: str, members: Mapping[str, Dialect | SimulatedMeter | SimulatedMultiplexer]
+    ) -> None:
+        """Put meters on the bus of an adapter; each lives by the clock that the adapter gives it."""
+        bus = GpibAdapter(self.world.clock)
+        self._add(adapter, bus)
+        for name, given in members.items():
+            if not isinstance(given, SimulatedMeter | SimulatedMultiplexer):
+                raise ValueError(f"{name} cannot be put on a GPIB bus: only meters can")
+            address = self._on_bus[name][1]
+            meter = bus.attach(address, partial(given.on, self.world))
+            bus.let_through(address, self._add(name, meter))
+
     def __enter__(self) -> SimulatedBench:
+        """Start all servers. Raises `BenchError` when a port or a terminal is not to be had; then none runs."""
         with ExitStack() as stack:
-            for server in self.servers.values():
-                stack.enter_context(server)
+            for name, (server, _) in self._started.items():
+                with taken_port(name, server):
+                    stack.enter_context(server)
+            for name, (_, terminal) in self._started.items():
+                if terminal is None:
+                    continue
+                try:
+                    stack.enter_context(terminal)
+                except OSError as error:
+                    cause = f"the system gives no pseudo-terminal ({error.strerror})"
+                    raise BenchError(name, cause, "serve it on TCP alone") from error
             clock = self.world.clock
             if isinstance(clock, VirtualClock):
                 clock.before_advance = self.traffic.settle
@@ -80,5 +212,69 @@ class SimulatedBench:
 
     @property
     def resources(self) -> dict[str, str]:
-        """The VISA resource name of each meter, such as "TCPIP0::127.0.0.1::40123::SOCKET"."""
-        return {name: server.resource for name, server in self.servers.items()}
+        """The resource of each port, such as "TCPIP0::127.0.0.1::40123::SOCKET"; for one on a bus, of its place."""
+        return {name: self._resource(name) for name in self.dialects}
+
+    def _resource(self, name: str) -> str:
+        server = self.servers[name]
+        if name in self._on_bus:
+            return f"prologix://{server.address}/{self._on_bus[name][1]}"
+        return server.resource
+
+    def addresses(self) -> list[dict[str, str | None]]:
+        """Return name, model, TCP address and pseudo-terminal (None: it has none) of each instrument.
+
+        For one on a GPIB bus these are the adapter's, and "gpib" is its address on the bus.
+        """
+        return [
+            {
+                "name": name,
+                "model": str(getattr(dialect, "model", type(dialect).__name__)),
+                "tcp": self.servers[name].address,
+                "pty": self.terminals[name].path if name in self.terminals else None,
+            }
+            | ({"gpib": str(self._on_bus[name][1])} if name in self._on_bus else {})
+            for name, dialect in self.dialects.items()
+        ]
+
+    def arm(self, fault: Fault) -> None:
+        """Arm a fault for the instrument that it names, or for all that can have it.
+
+        Raises `ValueError` when there is none of that name, it cannot have the fault, or none can.
+        """
+        if not fault.instrument:
+            able = [name for name, faulty in self.faulty.items() if faulty.can_have(fault)]
+            able = [name for name in able if not self._is_of_another_wire(name, fault)]
+            if not able:
+                raise ValueError(f"no instrument of this bench can have '{fault.kind}'")
+        elif fault.instrument not in self.faulty:
+            raise ValueError(
+                f"no instrument {fault.instrument} is served; there are {', '.join(self.faulty)}"
+            )
+        elif self._is_of_another_wire(fault.instrument, fault):
+            adapter = self._on_bus[fault.instrument][0]
+            raise ValueError(
+                f"{fault.instrument} has no wire of its own; '{fault.kind}' is for its {adapter}"
+            )
+        else:
+            able = [fault.instrument]
+        for name in able:
+            self.faulty[name].add(fault)
+
+    def _is_of_another_wire(self, name: str, fault: Fault) -> bool:
+        """Whether a fault is of a wire, which an instrument on a bus does not have."""
+        return name in self._on_bus and fault.kind not in OF_INSTRUMENT
+
+
+@contextmanager
+def taken_port(name: str, server: TcpServer) -> Iterator[None]:
+    """Turn the `OSError` of a port that cannot be listened on into a `BenchError`."""
+    try:
+        yield
+    except OverflowError as error:
+        cause = f"there is no port {server.port}"
+        raise BenchError(name, cause, "choose ports between 1 and 65535") from error
+    except OSError as error:
+        reason = os.strerror(error.errno).lower() if error.errno and error.errno > 0 else str(error)
+        cause = f"port {server.port} of {server.host} cannot be served ({reason})"
+        raise BenchError(name, cause, "end the program that has it, or choose another") from error

@@ -1,9 +1,12 @@
-"""Time of a simulated bench: a clock on which hours pass at once, shared by instruments and runner."""
+"""Time of a simulated bench: a clock on which hours pass at once, and one that runs faster than the real one."""
 
 from __future__ import annotations
 
+import math
 import threading
 from typing import TYPE_CHECKING
+
+from drivers.clock import SystemClock
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -11,7 +14,7 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 SLICE_S = 0.05
-"""How often a wait on a real clock looks whether it was interrupted, s."""
+"""How often a wait on a real clock looks whether it was interrupted, s of real time."""
 
 
 class VirtualClock:
@@ -49,6 +52,28 @@ class VirtualClock:
             self.before_advance()
 
 
+class ScaledClock:
+    """A clock that runs `speed` times faster than `real` and starts at 0; implements `drivers.clock.Clock`.
+
+    Raises `ValueError` for a speed that is not a positive number.
+    """
+
+    def __init__(self, speed: float = 1.0, real: Clock | None = None) -> None:
+        if not 0.0 < speed < math.inf:
+            raise ValueError(f"a clock runs at a positive speed such as 60, not {speed:g}")
+        self.speed = speed
+        self._real = real or SystemClock()
+        self._start_s = self._real.now_s()
+
+    def now_s(self) -> float:
+        """Return the bench time, s."""
+        return (self._real.now_s() - self._start_s) * self.speed
+
+    def sleep(self, duration_s: float) -> None:
+        """Let `duration_s` seconds of bench time pass."""
+        self._real.sleep(max(0.0, duration_s) / self.speed)
+
+
 def wait_until(clock: Clock, time_s: float, interrupted: Callable[[], bool]) -> bool:
     """Wait on any clock until `time_s`; return False when `interrupted` became true meanwhile.
 
@@ -57,8 +82,9 @@ def wait_until(clock: Clock, time_s: float, interrupted: Callable[[], bool]) -> 
     if isinstance(clock, VirtualClock):
         clock.advance_to(time_s)
         return not interrupted()
+    slice_s = SLICE_S * (clock.speed if isinstance(clock, ScaledClock) else 1.0)
     while (left_s := time_s - clock.now_s()) > 0.0:
         if interrupted():
             return False
-        clock.sleep(min(left_s, SLICE_S))
+        clock.sleep(min(left_s, slice_s))
     return not interrupted()

@@ -76,6 +76,8 @@ class ScriptedOperator:
             case "read_temperature":
                 self._pass_time(self._settings.task_time_s)
                 text = f"{self._world.block_c:.2f}"
+            case "select_input":
+                text = self._select_input(prompt)
             case _:
                 text = _default(prompt)
         return Answer(prompt.id, text)
@@ -84,6 +86,14 @@ class ScriptedOperator:
         self._pass_time(self._settings.mount_time_s)
         self._world.mount(installation, series)
         self._turned_for = None
+        return _confirmation(prompt)
+
+    def _select_input(self, prompt: Prompt) -> str:
+        """Switch all three inputs together, as the procedure wants it."""
+        self._pass_time(self._settings.task_time_s)
+        reference = prompt.action.get("reference_v")
+        source = str(prompt.action["source"])
+        self._world.select_input(source, None if reference is None else _number(reference))
         return _confirmation(prompt)
 
     def _turn(self, prompt_id: str, target_rad: float, direction: Direction) -> str:

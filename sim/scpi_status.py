@@ -46,6 +46,8 @@ ERRORS: Final[dict[int, str]] = {
     -224: "Illegal parameter value",
     -230: "Data stale",
     -350: "Too many errors",
+    -410: "Query INTERRUPTED",
+    -420: "Query UNTERMINATED",
 }
 """The texts of the standard's numbers; an instrument adds its own, which are positive."""
 

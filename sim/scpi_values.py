@@ -49,19 +49,21 @@ def notation_pattern(notation: str) -> re.Pattern[str]:
 
 
 def split_outside_quotes(text: str, separator: str) -> list[str]:
-    """Split at a one-character separator that does not stand within a string of either quote kind.
+    """Split at a one-character separator outside strings of either quote kind and outside parentheses.
 
     Raises `ScpiError` -151 for a string without its closing quote.
     """
-    if '"' not in text and "'" not in text:
+    if '"' not in text and "'" not in text and "(" not in text:
         return text.split(separator)
-    parts, start, quote = [], 0, ""
+    parts, start, quote, depth = [], 0, "", 0
     for position, character in enumerate(text):
         if quote:
             quote = "" if character == quote else quote
         elif character in "\"'":
             quote = character
-        elif character == separator:
+        elif character in "()":
+            depth = max(0, depth + (1 if character == "(" else -1))
+        elif character == separator and depth == 0:
             parts.append(text[start:position])
             start = position + 1
     if quote:

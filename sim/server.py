@@ -8,12 +8,13 @@ import socket
 import threading
 from typing import TYPE_CHECKING, Final
 
-from sim.session import TERMINATOR, Session, Traffic
+from sim.session import TERMINATOR, Session
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import TracebackType
 
-    from sim.session import Dialect, FaultHook, WireFault
+    from sim.session import FaultHook, Instrument
 
 _CHUNK: Final = 65536
 _BACKLOG: Final = 16
@@ -48,8 +49,8 @@ class TcpTransport:
         except ValueError as error:
             raise OSError("the connection was closed by the server") from error
 
-    def send(self, data: bytes) -> None:
-        """Send all of `data`."""
+    def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
+        """Send all of `data`; a client that takes none holds up nobody but itself, and may leave."""
         self._socket.sendall(data)
 
     def close(self) -> None:
@@ -71,28 +72,16 @@ class TcpServer:
     """A listening port for one instrument; a context manager.
 
     `port` 0 takes a free one. Loopback is the default, as whoever reaches the port commands the instrument.
-    `fault` may be set and taken away at any time; `traffic` is shared by the servers of a bench on a
-    virtual clock.
     """
 
-    def __init__(
-        self,
-        dialect: Dialect,
-        *,
-        host: str = "127.0.0.1",
-        port: int = 0,
-        fault: FaultHook | None = None,
-        traffic: Traffic | None = None,
-    ) -> None:
-        self.dialect = dialect
+    def __init__(self, instrument: Instrument, *, host: str = "127.0.0.1", port: int = 0) -> None:
+        self.instrument = instrument
         self.host = host
         self.port = port
-        self.fault = fault
-        self._traffic = traffic or Traffic()
-        self._instrument_lock = threading.Lock()
         self._state_lock = threading.Lock()
         self._listener: socket.socket | None = None
         self._accepting: threading.Thread | None = None
+        self._later: threading.Timer | None = None
         self._clients: dict[threading.Thread, TcpTransport] = {}
 
     def __enter__(self) -> TcpServer:
@@ -106,6 +95,20 @@ class TcpServer:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
+
+    @property
+    def fault(self) -> FaultHook | None:
+        """What the instrument's wires do to exchanges, on this port and on all its others."""
+        return self.instrument.fault
+
+    @fault.setter
+    def fault(self, hook: FaultHook | None) -> None:
+        self.instrument.fault = hook
+
+    @property
+    def address(self) -> str:
+        """Host and port, such as "127.0.0.1:5025"."""
+        return f"{self.host}:{self.port}"
 
     @property
     def resource(self) -> str:
@@ -125,6 +128,8 @@ class TcpServer:
     def stop(self) -> None:
         """Stop listening, close all connections, and wait for their threads."""
         self.refuse()
+        if self._later is not None:
+            self._later.cancel()
         with self._state_lock:
             clients = dict(self._clients)
         for transport in clients.values():
@@ -140,8 +145,12 @@ class TcpServer:
         for transport in transports:
             transport.close()
 
-    def refuse(self) -> None:
-        """Stop listening: new connections are refused from now on."""
+    def refuse(self, duration_s: float = 0.0) -> None:
+        """Stop listening: new connections are refused from now on, for a while or until `accept_again`."""
+        if duration_s > 0.0:
+            self._later = threading.Timer(duration_s, self._try_again)
+            self._later.daemon = True
+            self._later.start()
         listener, self._listener = self._listener, None
         if listener is None:
             return
@@ -156,6 +165,10 @@ class TcpServer:
         """Listen on the same port again after `refuse`."""
         if self._listener is None:
             self.start()
+
+    def _try_again(self) -> None:
+        with contextlib.suppress(OSError):  # the port went to somebody else: it stays refused
+            self.accept_again()
 
     def _accept(self, listener: socket.socket) -> None:
         while True:
@@ -174,9 +187,7 @@ class TcpServer:
         except OSError:
             connection.close()
             return
-        session = Session(
-            transport, self.dialect, self._instrument_lock, self._traffic, self._apply_fault, self.refuse
-        )
+        session = Session(transport, self.instrument, self.refuse)
 
         def run() -> None:
             try:
@@ -189,6 +200,3 @@ class TcpServer:
         with self._state_lock:
             self._clients[thread] = transport
         thread.start()
-
-    def _apply_fault(self, request: bytes, reply: bytes | None) -> WireFault | None:
-        return self.fault(request, reply) if self.fault else None

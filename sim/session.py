@@ -1,7 +1,7 @@
 """How bytes become messages to an instrument and replies become bytes, whatever carries them.
 
 Three layers apart: a `Transport` moves bytes, a `Framer` cuts messages out of them, a `Dialect` understands
-them. A `Session` is one client at one instrument.
+them. An `Instrument` is a dialect as all its wires share it, a `Session` one client at it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ import threading
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import Enum
 from typing import TYPE_CHECKING, Final, Protocol
+
+from drivers.clock import Clock, SystemClock
+from sim.traffic import Doing, Traffic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,8 +22,7 @@ DEVICE_CLEAR: Final = b"\x03"
 TERMINATOR: Final = b"\n"
 
 _INPUT_BUFFER: Final = 65536
-_SETTLE_LOOKS: Final = 2000
-_SETTLE_LOOK_S: Final = 0.001
+_LATE_SLICE_S: Final = 0.02
 
 
 class Dialect(Protocol):
@@ -60,8 +61,8 @@ class Transport(Protocol):
         """Whether `receive` would return at once."""
         ...
 
-    def send(self, data: bytes) -> None:
-        """Send all of `data`."""
+    def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
+        """Send all of `data`, or give the rest up when the client takes none and `interrupted` is true."""
         ...
 
     def close(self) -> None:
@@ -73,13 +74,17 @@ class Transport(Protocol):
 class WireFault:
     """What a broken wire does to one exchange: what is sent in place of the reply, and what then happens.
 
-    `raw` goes out as it is, without a terminator of its own; `drop` closes the connection after it,
-    `refuse` also refuses new ones until the server is told to `accept_again`.
+    After `delay_s` of real time `raw` goes out as it is, then each of `lines` with the terminator of the wire.
+    `drop` closes the connection after that; `refuse` also refuses new ones, for `refuse_s` of real time or,
+    where that is 0, until the server is told to `accept_again`.
     """
 
     raw: bytes = b""
+    lines: tuple[bytes, ...] = ()
+    delay_s: float = 0.0
     drop: bool = False
     refuse: bool = False
+    refuse_s: float = 0.0
 
     @classmethod
     def cut(cls, reply: bytes | None, keep: int) -> WireFault:
@@ -89,7 +94,7 @@ class WireFault:
     @classmethod
     def garble(cls, reply: bytes | None) -> WireFault:
         """The reply arrives with its line end, every character in it wrong."""
-        return cls(bytes(0x40 | (byte & 0x1F) for byte in reply or b"") + TERMINATOR)
+        return cls(lines=(bytes(0x40 | (byte & 0x1F) for byte in reply or b""),))
 
 
 SILENCE: Final = WireFault()
@@ -102,7 +107,9 @@ REFUSE: Final = WireFault(drop=True, refuse=True)
 """The connection is closed, and new ones are refused."""
 
 FaultHook = Callable[[bytes, bytes | None], WireFault | None]
-"""Called with each request and its reply (None: there is none); returns what the wire does instead."""
+"""Called with each request and its reply (None: there is none); returns what the wire does instead.
+
+One call at a time for one instrument, in the order in which its messages were carried out."""
 
 
 class Overflow:
@@ -145,101 +152,93 @@ class Framer:
         return bytes(line.removesuffix(b"\r"))
 
 
-class _Doing(Enum):
-    """What a session does at the moment, as `Traffic` sees it."""
+class Instrument:
+    """A dialect as all its wires share it: one message at a time is carried out, whoever sent it.
 
-    LISTENING = "waiting for input"
-    WORKING = "carrying out a message"
-    WAITING = "waiting for time to pass, or for another client"
-
-
-class Traffic:
-    """Knows what all the sessions of a bench do, so that time moves only when none has work left.
-
-    Without it, a virtual clock could jump past a measurement whose start is still on another wire.
+    `fault` may be set and taken away at any time; `traffic` is shared by the instruments of a bench on a
+    virtual clock.
     """
 
-    def __init__(self) -> None:
-        self._sessions: set[Session] = set()
-        self._changed = threading.Condition()
-        self._current = threading.local()
+    def __init__(
+        self, dialect: Dialect, traffic: Traffic | None = None, fault: FaultHook | None = None
+    ) -> None:
+        self.dialect = dialect
+        self.traffic = traffic or Traffic()
+        self.fault = fault
+        self._lock = threading.Lock()
+        self._clearing: set[Session] = set()
 
-    def settle(self) -> None:
-        """Wait until each session but the caller's listens with no input, or waits itself.
+    def exchange(
+        self, session: Session, message: bytes, interrupted: Callable[[], bool]
+    ) -> tuple[bytes | None, WireFault | None]:
+        """Carry a message out; return the reply and what the wire makes of it."""
 
-        A client that does not take its replies cannot hold the bench up for ever: after a few seconds
-        it is passed over.
-        """
-        own: Session | None = getattr(self._current, "session", None)
-        with self._waiting(own):
-            for _ in range(_SETTLE_LOOKS):
-                with self._changed:
-                    busy = [s for s in self._sessions if s is not own and s.has_work()]
-                    if not busy:
-                        return
-                    self._changed.wait(_SETTLE_LOOK_S)
+        def cleared() -> bool:
+            return bool(self._clearing) or interrupted()
 
-    def enter(self, session: Session) -> None:
-        """A session begins in the calling thread."""
-        self._current.session = session
-        with self._changed:
-            self._sessions.add(session)
+        with self._held(session):
+            reply = self.dialect.handle(message, cleared)
+            return reply, self.fault(message, reply) if self.fault else None
 
-    def leave(self, session: Session) -> None:
-        """A session ends."""
-        with self._changed:
-            self._sessions.discard(session)
-            self._changed.notify_all()
+    def device_clear(self, session: Session) -> None:
+        """Stop what is under way, also for another client: there is one instrument."""
+        self._clearing.add(session)
+        try:
+            with self._held(session):
+                self.dialect.device_clear()
+        finally:
+            self._clearing.discard(session)
 
-    def mark(self, session: Session, doing: _Doing) -> None:
-        """Say what a session does from now on."""
-        session.doing = doing
-        if doing is not _Doing.WORKING:
-            with self._changed:
-                self._changed.notify_all()
+    def input_overflow(self, session: Session) -> None:
+        """Take note that a message was too long to be kept."""
+        with self._held(session):
+            self.dialect.input_overflow()
 
     @contextmanager
-    def _waiting(self, session: Session | None) -> Iterator[None]:
-        if session is None:
+    def held(self) -> Iterator[None]:
+        """Keep all wires off the instrument meanwhile, to do something to it from outside."""
+        with self._lock:
             yield
-            return
-        self.mark(session, _Doing.WAITING)
+
+    @contextmanager
+    def _held(self, session: Session) -> Iterator[None]:
+        if not self._lock.acquire(blocking=False):
+            self.traffic.mark(session, Doing.WAITING)
+            self._lock.acquire()
+            self.traffic.mark(session, Doing.WORKING)
         try:
             yield
         finally:
-            self.mark(session, _Doing.WORKING)
+            self._lock.release()
 
 
 class Session:
-    """One client at one instrument; `lock` is the instrument's: one message at a time is carried out."""
+    """One client at one instrument. `on_refuse` is told for how long new clients are to be refused, s."""
 
     def __init__(
         self,
         transport: Transport,
-        dialect: Dialect,
-        lock: threading.Lock,
-        traffic: Traffic,
-        fault: FaultHook | None,
-        on_refuse: Callable[[], None],
+        instrument: Instrument,
+        on_refuse: Callable[[float], None],
+        clock: Clock | None = None,
     ) -> None:
-        self.doing = _Doing.LISTENING
+        self.doing = Doing.LISTENING
         self._transport = transport
-        self._dialect = dialect
-        self._lock = lock
-        self._traffic = traffic
-        self._fault = fault
+        self._instrument = instrument
+        self._traffic = instrument.traffic
         self._on_refuse = on_refuse
+        self._clock = clock or SystemClock()
         self._framer = Framer()
 
     def has_work(self) -> bool:
         """Whether this session works, or has input to work on. The input is looked at first: see `run`."""
-        if self.doing is _Doing.WAITING:
+        if self.doing is Doing.WAITING:
             return False
         try:
             pending = self._transport.has_input()
         except OSError:
             pending = False
-        return pending or self.doing is _Doing.WORKING
+        return pending or self.doing is Doing.WORKING
 
     def run(self) -> None:
         """Serve the client until it leaves. A wire that breaks ends the session and nothing else."""
@@ -248,10 +247,10 @@ class Session:
             while True:
                 self._transport.wait()
                 # Marked before the input is taken: at no moment has the session work that cannot be seen.
-                self._traffic.mark(self, _Doing.WORKING)
+                self._traffic.mark(self, Doing.WORKING)
                 if not self._receive() or not self._answer_all():
                     return
-                self._traffic.mark(self, _Doing.LISTENING)
+                self._traffic.mark(self, Doing.LISTENING)
         except OSError:
             return
         finally:
@@ -271,32 +270,39 @@ class Session:
     def _answer_all(self) -> bool:
         """Carry out the messages that are complete; False when the connection is to be closed."""
         while (message := self._framer.take()) is not None:
-            if not self._lock.acquire(blocking=False):
-                self._traffic.mark(self, _Doing.WAITING)
-                self._lock.acquire()
-                self._traffic.mark(self, _Doing.WORKING)
-            try:
-                if isinstance(message, Overflow):
-                    self._dialect.input_overflow()
-                    continue
-                if message == DEVICE_CLEAR:
-                    self._dialect.device_clear()
-                    continue
-                reply = self._dialect.handle(message, self._interrupted)
-            finally:
-                self._lock.release()
-            if not self._answer(message, reply):
+            if isinstance(message, Overflow):
+                self._instrument.input_overflow(self)
+            elif message == DEVICE_CLEAR:
+                self._instrument.device_clear(self)
+            elif not self._answer(*self._instrument.exchange(self, message, self._interrupted)):
                 return False
         return True
 
-    def _answer(self, message: bytes, reply: bytes | None) -> bool:
-        fault = self._fault(message, reply) if self._fault else None
+    def _answer(self, reply: bytes | None, fault: WireFault | None) -> bool:
         if fault is None:
             if reply is not None:
-                self._transport.send(reply + self._transport.terminator)
+                self._transport.send(reply + self._transport.terminator, self._interrupted)
             return True
-        if fault.raw:
-            self._transport.send(fault.raw)
+        if self._in_time(fault.delay_s):
+            data = fault.raw + b"".join(line + self._transport.terminator for line in fault.lines)
+            if data:
+                self._transport.send(data, self._interrupted)
         if fault.refuse:
-            self._on_refuse()
+            self._on_refuse(fault.refuse_s)
         return not fault.drop
+
+    def _in_time(self, delay_s: float) -> bool:
+        """Let real time pass before a late reply; False when a device clear made it void meanwhile."""
+        if delay_s <= 0.0:
+            return True
+        self._traffic.mark(self, Doing.WAITING)
+        end_s = self._clock.now_s() + delay_s
+        try:
+            while not self._interrupted():
+                left_s = end_s - self._clock.now_s()
+                if left_s <= 0.0:
+                    return True
+                self._clock.sleep(min(left_s, _LATE_SLICE_S))
+            return False
+        finally:
+            self._traffic.mark(self, Doing.WORKING)

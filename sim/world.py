@@ -11,14 +11,17 @@ import hashlib
 import threading
 from bisect import bisect_right
 from collections import Counter
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.model import STAND_ANGLES, Conditions, Distribution, stand_errors
+from bench.model import STAND_ANGLES, Conditions, Distribution, Stage, stand_errors
 from drivers.interfaces import CHANNELS
+from sim.heat import Heat
+from sim.terminals import Terminals
+from sim.turning import HeadFault, HeadTurn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,7 +54,9 @@ class WorldSettings:
     (rad, drawn at each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and
     "voltmeter_error" (V, drawn for each reading of each channel); a name left out is zero.
     `ambient_c` is the room, and the reference from which effects count temperature;
-    `block_time_constant_s` is the lag of the block behind the chamber.
+    `block_time_constant_s` is the lag of the block behind the chamber. A chamber with a controller takes its
+    air along at `chamber_rate_c_s` behind a lag of `chamber_lag_s`, and back to the room with
+    `chamber_off_lag_s` when it is switched off.
     """
 
     block: Block
@@ -60,6 +65,9 @@ class WorldSettings:
     seed: int
     ambient_c: float = 23.0
     block_time_constant_s: float = 750.0
+    chamber_rate_c_s: float = 4.0 / 60.0
+    chamber_lag_s: float = 120.0
+    chamber_off_lag_s: float = 3600.0
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for a stand error that the world does not know."""
@@ -70,24 +78,22 @@ class WorldSettings:
 
 @dataclass(frozen=True)
 class _Pose:
-    """How the block stands from `since_s` on. Compared by identity: each pose is an event of its own."""
+    """How the block stands from `since_s` on. Compared by identity: each pose is an event of its own.
+
+    `demanded_rad` is where the head was sent, which a fault may keep it from; `stuck` that one has. `input_v`
+    is the voltage at all three inputs in place of the block's signals, None for the signals.
+    """
 
     since_s: float
     installation: str
     series: int
     stand_rad: Floats
-    scale_angle_rad: float
+    turn: HeadTurn
     setting_error_rad: float
     direction: Direction | None
-
-
-@dataclass(frozen=True)
-class _Heat:
-    """The chamber's demand from `since_s` on, and the temperature the block had then."""
-
-    since_s: float
-    chamber_c: float
-    block_c: float
+    demanded_rad: float
+    stuck: bool = False
+    input_v: float | None = None
 
 
 class World:
@@ -107,9 +113,14 @@ class World:
         self._voltmeter_error_v: dict[Channel, float] = dict.fromkeys(CHANNELS, 0.0)
         self._signals: dict[object, Floats] = {}
         now_s = clock.now_s()
-        self._heats = [_Heat(now_s, settings.ambient_c, settings.ambient_c)]
+        self._heat = Heat(now_s, settings.ambient_c, settings.block_time_constant_s)
+        self._chamber_demand_c: float | None = None
+        self._chamber_offset_c = 0.0
+        self.head_fault = HeadFault()
         installation = next(iter(settings.model.installations))
-        self._poses = [_Pose(now_s, installation, 1, self._stand_rad(installation, 1), 0.0, 0.0, None)]
+        stand_rad = self._stand_rad(installation, 1)
+        at_zero = HeadTurn(now_s, 0.0, 0.0)
+        self._poses = [_Pose(now_s, installation, 1, stand_rad, at_zero, 0.0, None, 0.0)]
 
     # --- random numbers -----------------------------------------------------------------------------
 
@@ -122,6 +133,12 @@ class World:
     def random(self, purpose: str, *key: object) -> np.random.Generator:
         """Return the generator for a purpose within the current step; the same each time it is asked."""
         return keyed_generator(self.settings.seed, purpose, "step", self._step or "", *key)
+
+    def count(self, *what: str) -> int:
+        """Count an event within the current step; return its number, from 1."""
+        with self._lock:
+            self._counts[what] += 1
+            return self._counts[what]
 
     def fixed_random(self, purpose: str, *key: object) -> np.random.Generator:
         """Return the generator for something drawn once for the whole world, such as a meter's gain."""
@@ -146,47 +163,100 @@ class World:
             known = ", ".join(self.settings.model.installations)
             raise KeyError(f"the bench has no installation {installation!r}; it has {known}")
         with self._lock:
-            last = self._poses[-1]
-            self._poses.append(
-                _Pose(
-                    self.clock.now_s(),
-                    installation,
-                    series,
-                    self._stand_rad(installation, series),
-                    last.scale_angle_rad,
-                    last.setting_error_rad,
-                    last.direction,
-                )
-            )
+            stand_rad = self._stand_rad(installation, series)
+            self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
         """Turn the head until its scale shows `scale_angle_rad`; the true angle differs by a fresh alpha4."""
         with self._lock:
-            self._counts["turn",] += 1
-            setting_error_rad = self._draw(SETTING_ERROR, self.random(SETTING_ERROR, self._counts["turn",]))
-            last = self._poses[-1]
-            self._poses.append(
-                _Pose(
-                    self.clock.now_s(),
-                    last.installation,
-                    last.series,
-                    last.stand_rad,
-                    scale_angle_rad,
-                    setting_error_rad,
-                    direction,
-                )
+            self._pose_on(
+                turn=HeadTurn(self.clock.now_s(), scale_angle_rad, scale_angle_rad),
+                setting_error_rad=self._draw(SETTING_ERROR, self.random(SETTING_ERROR, self.count("turn"))),
+                direction=direction,
+                demanded_rad=scale_angle_rad,
+                stuck=False,
             )
+
+    def move_head(self, target_rad: float, speed_rad_s: float) -> None:
+        """Let the motor take the head to `target_rad` of its scale, as far as `head_fault` lets it.
+
+        alpha4 belongs to the step and to the target, so that it is the same whether the head had to back
+        off first or not. A head that was sent there already is left alone.
+        """
+        with self._lock:
+            now_s, start_rad = self.clock.now_s(), self.scale_angle_rad
+            last = self._poses[-1]
+            if target_rad == last.demanded_rad and not last.stuck:
+                return
+            end_rad, stuck = self.head_fault.end_rad(start_rad, target_rad)
+            place = f"{target_rad:.9f}"
+            generator = self.random(SETTING_ERROR, "move", place, self.count("move", place))
+            self._pose_on(
+                turn=HeadTurn(now_s, start_rad, end_rad, speed_rad_s),
+                setting_error_rad=self._draw(SETTING_ERROR, generator),
+                direction=last.direction if end_rad == start_rad else (1 if end_rad > start_rad else -1),
+                demanded_rad=target_rad,
+                stuck=stuck,
+            )
+
+    def stop_head(self) -> None:
+        """Let the motor stop the head where it is."""
+        with self._lock:
+            angle_rad = self.scale_angle_rad
+            at_rest = HeadTurn(self.clock.now_s(), angle_rad, angle_rad)
+            self._pose_on(turn=at_rest, demanded_rad=angle_rad, stuck=False)
+
+    def _pose_on(self, **changes: Any) -> None:
+        self._poses.append(replace(self._poses[-1], since_s=self.clock.now_s(), **changes))
+
+    def select_input(self, source: str, reference_v: float | None = None) -> None:
+        """Switch all three meters to the block's "signal", to a "short", or to a "reference" of `reference_v`, V.
+
+        Raises `ValueError` for another source, or a reference without its voltage.
+        """
+        inputs = {"signal": None, "short": 0.0, "reference": reference_v}
+        if source not in inputs:
+            raise ValueError(f"an input is switched to {', '.join(inputs)}, not to {source!r}")
+        input_v = inputs[source]
+        if source == "reference" and input_v is None:
+            raise ValueError("a reference has a voltage")
+        with self._lock:
+            self._pose_on(input_v=input_v)
 
     def set_chamber(self, target_c: float) -> None:
         """Set the air of the chamber to a temperature, at once, °C; the block follows with its lag."""
         with self._lock:
-            self._heats.append(_Heat(self.clock.now_s(), target_c, self.block_c))
+            self._chamber_demand_c = None
+            self._heat.set_air(self.clock.now_s(), target_c)
+
+    def ramp_chamber(self, target_c: float) -> None:
+        """Let the chamber's controller take the air to a temperature, °C, at its rate and with its lag."""
+        with self._lock:
+            self._chamber_demand_c = target_c
+            self._heat.ramp_air(
+                self.clock.now_s(),
+                target_c + self._chamber_offset_c,
+                self.settings.chamber_rate_c_s,
+                self.settings.chamber_lag_s,
+            )
+
+    def switch_chamber_off(self) -> None:
+        """Let the air drift back to the room."""
+        with self._lock:
+            self._chamber_demand_c = None
+            self._heat.relax_air(self.clock.now_s(), self.settings.ambient_c, self.settings.chamber_off_lag_s)
+
+    def disturb_chamber(self, offset_c: float) -> None:
+        """Put the chamber out of band: from now on its air goes to the demand and `offset_c`, °C."""
+        with self._lock:
+            self._chamber_offset_c = offset_c
+            if self._chamber_demand_c is not None:
+                self.ramp_chamber(self._chamber_demand_c)
 
     def new_reading(self, channel: Channel) -> int:
         """Begin a reading of a channel: draw its voltmeter error; return its number within the step."""
         with self._lock:
-            self._counts["reading", channel] += 1
-            number = self._counts["reading", channel]
+            number = self.count("reading", channel)
             generator = self.random(VOLTMETER_ERROR, channel, number)
             self._voltmeter_error_v[channel] = self._draw(VOLTMETER_ERROR, generator)
             return number
@@ -206,12 +276,23 @@ class World:
     @property
     def scale_angle_rad(self) -> float:
         """The angle that the head's scale shows, rad."""
-        return self._poses[-1].scale_angle_rad
+        return self._poses[-1].turn.angle_rad(self.clock.now_s())
+
+    @property
+    def head_rate_rad_s(self) -> float:
+        """How fast the motor turns the head, rad/s: zero when it stands."""
+        return self._poses[-1].turn.rate_rad_s(self.clock.now_s())
+
+    @property
+    def head_stuck(self) -> bool:
+        """Whether the head stands stuck short of where it was sent."""
+        return self._poses[-1].stuck and self.head_rate_rad_s == 0.0
 
     @property
     def true_angle_rad(self) -> float:
         """The angle at which the head really stands: the scale's and alpha4, rad."""
-        return self._poses[-1].scale_angle_rad + self._poses[-1].setting_error_rad
+        pose = self._poses[-1]
+        return pose.turn.angle_rad(self.clock.now_s()) + pose.setting_error_rad
 
     @property
     def direction(self) -> Direction | None:
@@ -226,7 +307,8 @@ class World:
     @property
     def chamber_c(self) -> float:
         """The air in the chamber, °C."""
-        return self._heats[-1].chamber_c
+        with self._lock:
+            return self._heat.air_c(self.clock.now_s())
 
     @property
     def block_c(self) -> float:
@@ -236,24 +318,21 @@ class World:
     def block_c_at(self, time_s: float) -> float:
         """Return the temperature of the block at a time of the clock, °C: first-order lag, in closed form."""
         with self._lock:
-            heat = self._heats[max(0, bisect_right(self._heats, time_s, key=lambda h: h.since_s) - 1)]
-        if heat.block_c == heat.chamber_c:
-            return heat.chamber_c
-        elapsed_s = max(0.0, time_s - heat.since_s)
-        left = np.exp(-elapsed_s / self.settings.block_time_constant_s)
-        return float(heat.chamber_c + (heat.block_c - heat.chamber_c) * left)
+            return self._heat.block_c(time_s)
 
     def signal_v(self, channel: Channel, time_s: float | None = None) -> float:
         """Return the voltage at a meter's terminals now, or as it was at `time_s` of the clock, V.
 
-        It is the forward model's reading with all effects at the true angle, plus the voltmeter error of
-        the channel's present reading. A meter that hands over its samples late asks for their own times.
+        It is the forward model's reading with all effects at the true angle, or what is at the inputs in its
+        place, plus the voltmeter error of the channel's present reading. A meter that hands over its samples
+        late asks for their own times.
         """
         at_s = self.clock.now_s() if time_s is None else time_s
         with self._lock:
             pose = self._poses[max(0, bisect_right(self._poses, at_s, key=lambda p: p.since_s) - 1)]
-            # Without effects the output depends on the pose alone; an effect may look at time and heat.
-            key = (id(pose), at_s) if self.settings.model.effects else id(pose)
+            # Without effects the output at rest depends on the pose alone; an effect may look at time and heat.
+            at_rest = at_s >= pose.turn.arrives_s and not self.settings.model.effects
+            key = id(pose) if at_rest else (id(pose), at_s)
             signals = self._signals.get(key)
             if signals is None:
                 if len(self._signals) >= _CACHED_SIGNALS:
@@ -265,49 +344,33 @@ class World:
         """Return the three signals of a pose, V, shape (3,)."""
         conditions = Conditions.of(
             [pose.installation],
-            [pose.scale_angle_rad],
+            [pose.turn.angle_rad(time_s)],
             series=[pose.series],
             direction=[pose.direction or 0],
             time_s=[time_s - self.began_s],
             temperature_c=[self.block_c_at(time_s) - self.settings.ambient_c],
         )
+        if pose.input_v is not None:
+            readings: Floats = self._voltmeter_readings(np.full((1, 3), pose.input_v), conditions)[0]
+            return readings
         signals: Floats = self.settings.model.readings(
             self.settings.block, conditions, pose.stand_rad[np.newaxis, :], pose.setting_error_rad
         )[0]
         return signals
+
+    def _voltmeter_readings(self, input_v: Floats, conditions: Conditions) -> Floats:
+        """Return what the meters read of voltages that do not come from the block: their own effects alone."""
+        readings = input_v
+        for applied in self.settings.model.effects:
+            if applied.effect.stage is Stage.VOLTMETER_READING:
+                values = applied.complete_values()
+                readings = readings + applied.effect.addition(
+                    values, input_v, conditions, self.settings.block
+                )
+        return readings
 
     def terminals(self, channel: Channel) -> Terminals:
         """Return what a meter that is wired to `channel` sees."""
         if channel not in CHANNELS:
             raise ValueError(f"the block has the channels {', '.join(CHANNELS)}, not {channel!r}")
         return Terminals(self, channel)
-
-
-class Terminals:
-    """One channel of the world, as the meter on it sees it (the `Source` of a simulated meter)."""
-
-    def __init__(self, world: World, channel: Channel) -> None:
-        self._world = world
-        self._channel = channel
-        self._reading = 0
-
-    @property
-    def temperature_c(self) -> float:
-        """The temperature of the room in which the meter stands, °C."""
-        return self._world.settings.ambient_c
-
-    def signal_v(self, time_s: float | None = None) -> float:
-        """Return the voltage at the terminals now, or at `time_s` of the clock, V."""
-        return self._world.signal_v(self._channel, time_s)
-
-    def new_reading(self) -> None:
-        """Say that a reading was triggered."""
-        self._reading = self._world.new_reading(self._channel)
-
-    def random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for a purpose within the present reading."""
-        return self._world.random(purpose, self._channel, self._reading)
-
-    def fixed_random(self, purpose: str) -> np.random.Generator:
-        """Return the generator for something that the meter on this channel has for good."""
-        return self._world.fixed_random(purpose, self._channel)

@@ -1,6 +1,34 @@
-"""Makes the helpers that stand beside the tests importable by their bare names, whoever starts pytest."""
+"""Makes the helpers beside the tests importable by their bare names; a command line in an empty folder."""
 
+import io
 import sys
 from pathlib import Path
 
+import pytest
+
 sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture
+def empty_folder(tmp_path, monkeypatch):
+    """Work in an empty folder, with nothing preset."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("BENCH_FILE", "BENCH_RUNS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def bench(capsys, empty_folder):
+    """Run a command; return (exit status, standard output, standard error)."""
+
+    def call(*arguments, stdin=""):
+        from bench.cli import main
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("sys.stdin", io.StringIO(stdin))
+            with pytest.raises(SystemExit) as exit_:
+                main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return exit_.value.code, out, err
+
+    return call

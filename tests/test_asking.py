@@ -6,6 +6,8 @@ import pytest
 from rich.console import Console
 
 from bench.asking import ask, confirm
+from bench.control import Control, ControlFile, OperatorWish, leave_wish
+from bench.states import Wish
 from bench.terminal import TerminalPerson
 from drivers.interfaces import Answer, BenchError, NoAnswer, Prompt, PromptKind
 
@@ -47,9 +49,9 @@ def test_empty_means_the_default():
     assert ask(Script("", "b"), Prompt("1", PromptKind.CHOOSE, "Which", choices=("a", "b"))) == "b"
 
 
-def test_it_ends_after_five_answers_that_do_not_fit():
+def test_it_ends_after_many_answers_that_do_not_fit():
     with pytest.raises(BenchError, match="no usable answer"):
-        ask(Script(*["x"] * 9), NUMBER)
+        ask(Script(*["x"] * 30), NUMBER)
 
 
 def test_no_stops_the_run():
@@ -66,3 +68,27 @@ def test_the_terminal_says_when_the_answers_end():
         person.ask(prompt)
     assert "Mount the [block]" in shown.getvalue()
     assert "Enter = yes" in shown.getvalue()
+
+
+def test_a_wish_typed_at_a_prompt_is_heard_and_a_misspelt_one_explained():
+    shown = io.StringIO()
+    person = TerminalPerson(io.StringIO(":rdo\n:skip\n:skip the cable came loose\n"), Console(file=shown))
+    with pytest.raises(OperatorWish) as heard:
+        person.ask(Prompt("1#1", PromptKind.ANGLE, "Turn"))
+    assert heard.value.control == Control(Wish.SKIP, "the cable came loose", by_person=True)
+    assert ":rdo is no wish; there are :pause, :continue, :redo" in shown.getvalue()
+    assert "say why" in shown.getvalue()
+
+
+def test_wishes_left_in_the_folder_are_heard_once_and_in_order(tmp_path):
+    leave_wish(tmp_path, Control(Wish.ABORT))
+    controls = ControlFile(tmp_path)
+    assert controls.poll() is None  # what was there before was for another program
+    leave_wish(tmp_path, Control(Wish.PAUSE))
+    with (tmp_path / "control.jsonl").open("a") as file:
+        file.write("nonsense\n")
+    leave_wish(tmp_path, Control(Wish.SKIP, "wrong angle"))
+    with (tmp_path / "control.jsonl").open("a") as file:
+        file.write('{"wish": "redo"')
+    heard = [controls.poll() for _ in range(5)]
+    assert heard == [Control(Wish.PAUSE), None, Control(Wish.SKIP, "wrong angle"), None, None]

@@ -1,6 +1,5 @@
 """The commands as their user types them, in an empty folder."""
 
-import io
 import json
 import re
 from pathlib import Path
@@ -8,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli import main
 from bench.model.block import COEFFICIENTS
 from bench.readings_csv import read_csv, write_csv
 from bench.run_folder import Run
@@ -29,28 +27,6 @@ SILENT_STAND = {
     "noise: yes": "noise: no",
 }
 SHIPPED = Path(__file__).parent.parent / "config" / "paper-stand.yaml"
-
-
-@pytest.fixture(autouse=True)
-def _empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("BENCH_FILE", "BENCH_RUNS"):
-        monkeypatch.delenv(name, raising=False)
-
-
-@pytest.fixture
-def bench(capsys):
-    """Run a command; return (exit status, standard output, standard error)."""
-
-    def call(*arguments, stdin=""):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("sys.stdin", io.StringIO(stdin))
-            with pytest.raises(SystemExit) as exit_:
-                main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return exit_.value.code, out, err
-
-    return call
 
 
 def edited_stand(**changes):

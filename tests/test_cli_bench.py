@@ -95,7 +95,7 @@ def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, capsys):
     assert "1 readings are kept" in err
     assert len(Run(Path("runs/run")).readings()) == 1
     assert "interrupted" not in command(capsys, "runs")[1]
-    assert command(capsys, "resume", "run", answers="yes\n23\n89 59 58\n")[0] == 0
+    assert command(capsys, "resume", "run", answers="untouched\n89 59 58\n")[0] == 0
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert run.readings().point.tolist() == [1, 2]
@@ -149,7 +149,7 @@ def test_a_fault_on_the_wire_stops_with_the_record_whole_and_is_repaired_by_resu
     assert run.history.state == "failed"
     assert not any("reading" in e.data for e in run.history.events)
     served.servers["voltmeter.y"].fault = None
-    command(capsys, "resume", "run")
+    command(capsys, "resume", "run", answers="\n0 0 2\n89 59 58\n")
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert run.readings().point.tolist() == [1, 2]

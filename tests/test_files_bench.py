@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bench.bench_file import STAND_ERRORS, load_bench
-from bench.bench_instruments import VOLTMETERS
+from bench.bench_voltmeters import VOLTMETERS
 from bench.shipped import find_bench
 from bench.yaml_file import FileMistakes, sha256_of_file
-from drivers import agilent_34401a
+from drivers import agilent_34401a, keysight_34461a, keysight_34970a
 
 ARCSEC = math.pi / 648000
 
@@ -76,7 +76,7 @@ def test_the_paper_stand_is_the_papers():
 
 def test_installations_are_the_papers_two_and_the_stated_ones():
     models = load_bench(find_bench("paper-stand")).installation_models()
-    assert list(models) == ["1", "2", "V"]
+    assert list(models) == ["1", "2", "V", "1T90", "2T90", "1T180", "2T180"]
     assert np.array_equal(models["1"].block_from_platform, np.eye(3))
     assert np.array_equal(models["2"].block_from_platform, [[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
     half = math.sqrt(0.5)
@@ -85,11 +85,32 @@ def test_installations_are_the_papers_two_and_the_stated_ones():
     )
 
 
-def test_voltmeters_can_what_their_driver_can():
-    kind = VOLTMETERS["agilent-34401a"]
-    assert kind.ranges_v == agilent_34401a.RANGES_V
-    assert kind.nplc == agilent_34401a.NPLC
-    assert kind.most_samples == agilent_34401a.MEMORY_SAMPLES
+@pytest.mark.parametrize(
+    ("driver", "ranges_v", "nplc", "memory_readings"),
+    [
+        (
+            "agilent-34401a",
+            agilent_34401a.RANGES_V,
+            agilent_34401a.NPLC,
+            agilent_34401a.MEMORY_SAMPLES,
+        ),
+        (
+            "keysight-34461a",
+            agilent_34401a.RANGES_V,
+            agilent_34401a.NPLC,
+            keysight_34461a.MEMORY_SAMPLES["34461A"],
+        ),
+        (
+            "keysight-34970a",
+            keysight_34970a.RANGES_V,
+            keysight_34970a.NPLC,
+            keysight_34970a.MEMORY_READINGS,
+        ),
+    ],
+)
+def test_voltmeters_can_what_their_driver_can(driver, ranges_v, nplc, memory_readings):
+    kind = VOLTMETERS[driver]
+    assert (kind.ranges_v, kind.nplc, kind.memory_readings) == (ranges_v, nplc, memory_readings)
 
 
 def test_what_is_left_out_has_its_default(tmp_path, paper_text):

@@ -1,5 +1,6 @@
 """Plans: hash, JSON, expected time."""
 
+import hashlib
 import json
 import math
 from dataclasses import fields, replace
@@ -8,7 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.plan import Ask, Mount, OperatorTime, Plan, Read, SetTemperature, Turn, Wait
+from bench.plan import (
+    Ask,
+    Mount,
+    OnFailure,
+    OperatorTime,
+    Plan,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Turn,
+    Wait,
+)
 from drivers.interfaces import PromptKind
 
 STEPS = (
@@ -19,6 +32,11 @@ STEPS = (
     Read("0005/read/1s2.1.2", "1", 2, 1, 2, math.pi / 4, -1, 10, 10.0),
     Ask("0006/ask", PromptKind.CHOOSE, "Which?", "a", "", ("a", "b"), None, None),
     Ask("0007/ask", PromptKind.NUMBER, "Supply", None, "V", (), 10.0, 30.0),
+    Settle("0008/settle", "signals", 50e-6, 10.0, 120.0, 1.0),
+    Settle("0009/settle", "temperature", 0.1, 1800.0, 21600.0, 60.0),
+    SelectInput("0010/input", "reference", 2.0),
+    Read("0011/read/R.1.3", "R", 1, 1, 3, None, None, 5, 10.0, OnFailure(2, "continue")),
+    SelectInput("0012/input", "signal"),
 )
 PLAN = Plan("p", STEPS, "ab" * 32, OperatorTime(100.0, 900.0, 20.0))
 
@@ -26,10 +44,25 @@ texts = st.text(max_size=8)
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 wholes = st.integers(1, 10**6)
 directions = st.sampled_from([1, -1])
+failures = st.builds(OnFailure, st.integers(0, 100), st.sampled_from(["stop", "continue"]))
 steps = st.one_of(
     st.builds(Mount, texts, texts, wholes),
-    st.builds(Turn, texts, texts, wholes, wholes, wholes, numbers, directions),
-    st.builds(Read, texts, texts, wholes, wholes, wholes, numbers, directions, wholes, numbers),
+    st.builds(Turn, texts, texts, wholes, wholes, wholes, numbers, directions, failures),
+    st.builds(
+        Read,
+        texts,
+        texts,
+        wholes,
+        wholes,
+        wholes,
+        st.none() | numbers,
+        st.none() | directions,
+        wholes,
+        numbers,
+        failures,
+    ),
+    st.builds(Settle, texts, st.sampled_from(["signals", "temperature"]), numbers, numbers, numbers, numbers),
+    st.builds(SelectInput, texts, st.sampled_from(["signal", "short", "reference"]), st.none() | numbers),
     st.builds(Wait, texts, numbers, texts),
     st.builds(SetTemperature, texts, numbers),
     st.builds(
@@ -65,6 +98,8 @@ def changed(value):
             return (*value, "c")
         case None:
             return "1"
+        case OnFailure():
+            return OnFailure(value.repeats + 1, value.then)
         case float():
             return math.nextafter(value, math.inf)
         case _:
@@ -102,9 +137,11 @@ def test_the_hash_is_the_same_in_every_process():
 
 
 def test_counts_and_times():
-    assert PLAN.counts() == {"mount": 1, "turn": 1, "wait": 1, "read": 1, "ask": 2, "temperature": 1}
-    assert PLAN.operator_actions() == 5
-    reading_s = 10 * (2 * 10 / 50)
+    assert PLAN.counts() == {
+        "mount": 1, "turn": 1, "wait": 1, "settle": 2, "read": 2, "input": 2, "ask": 2, "temperature": 1,
+    }  # fmt: skip
+    assert PLAN.operator_actions() == 7
+    reading_s = (10 + 5) * (2 * 10 / 50)
     times = PLAN.duration_by_kind_s(line_hz=50.0)
     assert list(times) == list(PLAN.counts())
     assert times["read"] == pytest.approx(reading_s, rel=0.05)
@@ -113,10 +150,17 @@ def test_counts_and_times():
         "mount": 900.0,
         "turn": 100.0,
         "wait": 5400.0,
+        "settle": 11.0 + 1860.0,
+        "input": 120.0,
         "ask": 40.0,
         "temperature": 20.0,
     }
     assert PLAN.expected_duration_s() == pytest.approx(sum(PLAN.step_duration_s(step) for step in STEPS))
+    assert PLAN.longest_duration_s() - PLAN.expected_duration_s() == pytest.approx(109.0 + 19740.0)
+    by_mount = PLAN.duration_by_mount_s()
+    assert by_mount[""] == 20.0 + 5400.0
+    assert list(by_mount) == ["", "1 (series 2)"]
+    assert sum(by_mount.values()) == pytest.approx(PLAN.expected_duration_s())
 
 
 def test_steps_say_what_they_are():
@@ -128,7 +172,13 @@ def test_steps_say_what_they_are():
         "read installation 1 (series 2), pass 1, point 2 at 45°: 10 samples of 10 power-line cycles",
         "ask: Which? [a]",
         "ask: Supply",
+        "wait until the signals stay within 50 µV for 10 s, at most 2 min",
+        "wait until the temperature stays within 0.1 K for 30 min, at most 6 h",
+        "switch the three inputs to the reference of 2 V",
+        "read the reference input, pass 1, point 3: 5 samples of 10 power-line cycles",
+        "switch the three inputs back to the signals",
     ]
+    assert SelectInput("1", "short").describe() == "short the three inputs"
 
 
 def test_what_is_no_plan_is_refused():
@@ -139,3 +189,23 @@ def test_what_is_no_plan_is_refused():
         Plan.from_json(good | {"steps": [{"step": "wait", "key": "1"}]})
     with pytest.raises(KeyError):
         Plan.from_json({})
+
+
+def test_a_plan_from_before_there_was_more_to_say_is_read_and_keeps_its_hash():
+    old = {
+        "name": "p",
+        "procedure_sha256": "00",
+        "operator_time": {"turn_s": 120.0, "mount_s": 1200.0, "answer_s": 30.0},
+        "steps": [
+            {"step": "turn", "key": "0001/turn/1.1.1", "installation": "1", "series": 1, "pass_number": 1,
+             "point": 1, "target_rad": 0.5, "direction": 1},
+            {"step": "read", "key": "0002/read/1.1.1", "installation": "1", "series": 1, "pass_number": 1,
+             "point": 1, "target_rad": 0.5, "direction": 1, "samples": 10, "nplc": 10.0},
+        ],
+    }  # fmt: skip
+    plan = Plan.from_json(old)
+    assert [step.on_failure for step in plan.steps] == [OnFailure(1, "stop")] * 2
+    assert plan.operator_time.input_s > 0
+    assert plan.to_json() == old
+    text = json.dumps(old, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    assert plan.hash == hashlib.sha256(text.encode()).hexdigest()

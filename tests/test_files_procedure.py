@@ -1,86 +1,26 @@
 """The procedure language: what it expands to, and all mistakes at once with their files and lines."""
 
-import math
-from pathlib import Path
+from functools import partial
 
 import pytest
+from procedure_texts import load_steps, mistakes_in, reads
 
 from bench.bench_file import load_bench
 from bench.plan import Ask, Mount, Read, SetTemperature, Turn, Wait
 from bench.procedure import check, load_procedure
 from bench.shipped import find_bench, find_procedure
-from bench.yaml_file import FileMistakes, sha256_of_file
+from bench.yaml_file import sha256_of_file
 from drivers.interfaces import PromptKind
-
-HEAD = "procedure: p\nreading: {samples: 3, nplc: 1, settle: 2 s}\nsteps:\n"
 
 
 @pytest.fixture
 def load(tmp_path):
-    def of(steps, head=HEAD, **files):
-        for name, text in files.items():
-            (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")
-        path = tmp_path / "p.yaml"
-        path.write_text(head + steps, encoding="utf-8")
-        return load_procedure(path)
-
-    return of
+    return partial(load_steps, tmp_path)
 
 
 @pytest.fixture
-def mistakes(load):
-    def of(steps, head=HEAD, **files):
-        with pytest.raises(FileMistakes) as error:
-            load(steps, head, **files)
-        return [f"{Path(m.file).name}{m.line} {m.place}: {m.text}" for m in error.value.mistakes]
-
-    return of
-
-
-def reads(plan):
-    return [
-        (s.installation, s.pass_number, s.point, round(math.degrees(s.target_rad)), s.direction)
-        for s in plan.steps
-        if isinstance(s, Read)
-    ]
-
-
-def test_the_papers_procedure_is_the_papers():
-    plan = load_procedure(find_procedure("paper")).expand()
-    angles = [45 * point for point in range(9)]
-    expected = [
-        (label, number, point, angle, 1)
-        for label in "12"
-        for number in (1, 2, 3)
-        for point, angle in enumerate(angles, start=1)
-    ]
-    assert reads(plan) == expected + [("V", 1, j + 1, 45 + 90 * j, 1) for j in range(4)]
-    assert isinstance(plan.steps[0], Wait)
-    assert plan.steps[0].duration_s == 3600.0
-    assert plan.counts() == {"mount": 3, "turn": 58, "wait": 59, "read": 58}
-    assert plan.operator_actions() == 61
-
-
-def test_the_second_pass_of_the_default_is_falling_and_points_keep_their_angles():
-    plan = load_procedure(find_procedure("calibration")).expand()
-    for label in "12":
-        second = [row for row in reads(plan) if row[:2] == (label, 2)]
-        assert second == [(label, 2, point, 45 * (point - 1), -1) for point in range(9, 0, -1)]
-        assert {row[4] for row in reads(plan) if row[0] == label and row[1] != 2} == {1}
-    assert {(s.samples, s.nplc) for s in plan.steps if isinstance(s, Read)} == {(10, 10.0)}
-
-
-def test_quick_is_one_pass():
-    assert {row[1] for row in reads(load_procedure(find_procedure("quick")).expand())} == {1}
-
-
-def test_every_shipped_procedure_runs_on_every_shipped_bench():
-    for bench_path in find_bench("paper-stand").parent.glob("*.yaml"):
-        bench = load_bench(bench_path)
-        for path in find_procedure("paper").parent.glob("*.yaml"):
-            procedure = load_procedure(path)
-            assert (bench.name, procedure.name) == (bench_path.stem, path.stem)
-            assert check(procedure.expand(), bench, dry_run=True) == []
+def mistakes(tmp_path):
+    return partial(mistakes_in, tmp_path)
 
 
 def test_a_turn_settles_and_reads_unless_it_says_what_to_do(load):
@@ -291,7 +231,7 @@ def test_what_a_bench_cannot_do_is_told_all_at_once(load):
     bench = load_bench(find_bench("paper-stand"))
     told = check(plan, bench)
     assert told == [
-        "step 0003/mount/7: the bench file has no installation 7 (it has 1, 2, V); state it there",
+        "step 0003/mount/7: the bench file has no installation 7 (it has 1, 2, V, 1T90, 2T90, 1T180, 2T180); state it there",
         "step 0005/read/7.1.1: the voltmeters do not integrate over 5 NPLC; "
         "take one of 0.02, 0.2, 1, 10, 100",
         "step 0005/read/7.1.1: 1000 samples are more than the 512 that a voltmeter holds",

@@ -28,21 +28,22 @@ def test_an_unknown_name_is_told_with_the_nearest_and_the_list():
         find_procedure("calibraton")
     assert str(error.value) == (
         "calibraton: there is no such file, and no shipped procedure of that name; did you mean calibration? "
-        "shipped are: calibration, paper, quick"
+        "shipped are: calibration, inputs, paper, quick, remount-180, remount-90, repeatability, return, "
+        "stability, temperature, turn-12, turn-24"
     )
-    with pytest.raises(FileMistakes, match="shipped are: bench-gpib, bench-rs232, paper-stand"):
+    listed = (
+        "shipped are: bench-gpib, bench-lan, bench-motorised, bench-multiplexer, bench-prologix, "
+        "bench-rate-table, bench-rs232, paper-stand"
+    )
+    with pytest.raises(FileMistakes, match=listed):
         find_bench("nothing/like/it.yaml")
 
 
 def test_copies_are_written_once(tmp_path):
     written = copy_shipped(tmp_path)
     assert {path.relative_to(tmp_path).as_posix() for path in written} == {
-        "procedures/paper.yaml",
-        "procedures/calibration.yaml",
-        "procedures/quick.yaml",
-        "config/paper-stand.yaml",
-        "config/bench-gpib.yaml",
-        "config/bench-rs232.yaml",
+        *(f"procedures/{path.name}" for path in find_procedure("paper").parent.glob("*.yaml")),
+        *(f"config/{path.name}" for path in find_bench("paper-stand").parent.glob("*.yaml")),
     }
     assert written[-1].read_bytes() == find_bench(written[-1].stem).read_bytes()
     edited = tmp_path / "config" / "bench-gpib.yaml"
@@ -57,5 +58,14 @@ def test_an_installed_program_finds_them_in_its_own_folder(tmp_path, monkeypatch
     for kind in (shipped.PROCEDURES, shipped.CONFIG):
         shutil.copytree(shipped.shipped_folder(kind), package / "shipped_files" / kind)
     monkeypatch.setattr(shipped, "_PACKAGE", package)
+    monkeypatch.chdir(tmp_path)
     assert find_procedure("paper") == package / "shipped_files" / "procedures" / "paper.yaml"
     assert find_bench("bench-rs232").is_relative_to(package)
+
+
+def test_an_edited_copy_in_the_working_folder_wins_over_the_shipped_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert not find_procedure("paper").is_relative_to(tmp_path)
+    copy_shipped(tmp_path)
+    assert find_procedure("paper") == tmp_path / "procedures" / "paper.yaml"
+    assert find_bench("paper-stand.yaml") == tmp_path / "config" / "paper-stand.yaml"

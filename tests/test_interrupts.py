@@ -78,3 +78,32 @@ def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
         assert history.state == "interrupted"
         assert "readings are kept in runs/hit; go on with 'bench resume hit'" in err
         assert "Traceback" not in err
+
+
+def test_a_run_is_paused_and_aborted_from_another_program(tmp_path):
+    (tmp_path / "long.yaml").write_text(LONG)
+    command = [sys.executable, "-c", "from bench.cli import main; main()"]
+    options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen([*command, "run", "long.yaml", "--dry-run", "--name", "hit"], **options)  # noqa: S603
+    events = Path(tmp_path / "runs/hit/events.jsonl")
+
+    def wait_for(text):
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and not (events.exists() and text in events.read_text()):
+            time.sleep(0.01)
+
+    wait_for("step_done")
+    say = [*command, "control", "hit"]
+    assert subprocess.run([*say, "pause"], **options, check=False).returncode == 0  # noqa: S603
+    wait_for("run_paused")
+    size = events.stat().st_size
+    assert subprocess.run([*say, "skip"], **options, check=False).returncode == 2  # noqa: S603
+    assert events.stat().st_size == size
+    subprocess.run([*say, "abort", "wrong block"], **options, check=True)  # noqa: S603
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert "aborted: wrong block" in err
+    assert read_history(tmp_path / "runs/hit").state == "aborted"
+    late = subprocess.run([*say, "pause"], **options, check=False)  # noqa: S603
+    assert late.returncode == 2
+    assert "nobody is carrying out this run" in late.stderr

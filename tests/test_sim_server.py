@@ -63,9 +63,10 @@ def a_bench(world: World | None = None) -> Iterator[SimulatedBench]:
 def one_meter(
     fault: Callable[[bytes, bytes | None], WireFault | None] | None = None, tolerance_s: float = 5.0
 ) -> Iterator[tuple[TcpServer, Client]]:
-    meter = {"v": SimulatedMeter("x", noise=False, fault=fault)}
-    with SimulatedBench(a_world(), meter) as bench:
+    with SimulatedBench(a_world(), {"v": SimulatedMeter("x", noise=False)}) as bench:
         server = bench.servers["v"]
+        if fault is not None:
+            server.fault = fault
         with Client(server.port, tolerance_s) as client:
             yield server, client
 

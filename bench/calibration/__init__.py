@@ -1,6 +1,7 @@
 """From readings to coefficients with an uncertainty, and the check at the verification points."""
 
 from bench.calibration.calibrate import ESTIMATORS, calibrate
+from bench.calibration.plausibility import implausible
 from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise
 from bench.calibration.verification import Verification, VerificationPoint, verify
 
@@ -14,5 +15,6 @@ __all__ = [
     "Verification",
     "VerificationPoint",
     "calibrate",
+    "implausible",
     "verify",
 ]

@@ -52,6 +52,7 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
         )
     sentences += [
         "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it",
+        f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and nothing shows it",
         "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
         "whatever is computed from them in m/s^2",
     ]

@@ -48,7 +48,7 @@ def calibrate(
         conditions = replace(conditions, angle_rad=NOMINAL_RAD[rows.point - 1])
     problem = make_problem(model, conditions, stand_u)
     start = first_guess(problem, rows.signal)
-    fit = gls.fit(problem, rows.signal, start, noise)
+    fit = gls.fit(problem, rows.signal, start, noise, rows.resolution)
     fit_test = gls.lack_of_fit(problem, fit)
     if nominal:
         fit = _closed_form(problem, rows, fit, gain)
@@ -100,6 +100,12 @@ def first_guess(problem: Problem, signal: Floats) -> Block:
     unit = Block(np.eye(3), np.zeros(3))
     force = problem.model.specific_force(problem.conditions, zero, unit)
     require_rank(force)
+    still = [axis for axis, spread in zip("xyz", np.ptp(signal, axis=0), strict=True) if spread == 0]
+    if still:
+        raise CalibrationError(
+            f"the signal of channel {', '.join(still)} is the same in every reading; "
+            "check its cable and the supply of the block"
+        )
     columns = np.column_stack([force, np.ones(len(force))])
     solution, *_ = np.linalg.lstsq(columns, signal, rcond=None)
     return Block.from_vector(np.concatenate([solution[:3].T.ravel(), solution[3]]))

@@ -81,7 +81,8 @@ def closed_form_gain(readings: Readings) -> Floats:
             f"the closed form (8) needs every test point; missing (installation/point): "
             f"{', '.join(missing)}; measure them, or use the default estimator"
         )
-    off = np.abs(readings.angle_rad - NOMINAL_RAD[readings.point - 1])
+    off = readings.angle_rad - NOMINAL_RAD[readings.point - 1]
+    off = np.abs(off - 2 * np.pi * np.round(off / (2 * np.pi)))  # 360° may be written as 0°
     if np.any(off > FARTHEST_FROM_NOMINAL_RAD):
         worst = int(np.argmax(off))
         raise CalibrationError(

@@ -57,10 +57,15 @@ class Fit:
     slope: Floats
 
 
-def fit(problem: Problem, signal: Floats, start: Block, noise: Noise | None = None) -> Fit:
-    """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated."""
+def fit(
+    problem: Problem, signal: Floats, start: Block, noise: Noise | None = None, resolution: float = 0.0
+) -> Fit:
+    """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
+
+    Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
+    """
     block, others = start, problem.prior_mean
-    floor = LEAST_NOISE * float(np.max(np.abs(signal)))
+    floor = max(LEAST_NOISE * float(np.max(np.abs(signal))), resolution / np.sqrt(12.0))
     groups = repeat_groups(problem.conditions)
     state: tuple[Floats, Floats, Floats, Noise] | None = None
     sizes, moved = noise, np.inf

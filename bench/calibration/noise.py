@@ -101,7 +101,20 @@ def noise_from_repeats(scatter: Scatter, floor: float) -> Noise:
     bounds = _bounds((floor, across), (least_setting, max(spread, least_setting)))
     found = minimize(minus_two_log_likelihood, start, method="L-BFGS-B", bounds=bounds)
     reading, setting = np.exp(found.x)
-    return Noise(float(reading), float(setting), 3.0 * scatter.settings, "repeats")
+    limits = setting_limits(float(reading), float(setting), float(np.mean(slope2)), scatter.settings)
+    return Noise(float(reading), float(setting), 3.0 * scatter.settings, "repeats", limits)
+
+
+def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: float) -> tuple[float, float]:
+    """Return limits of the setting error (about 95 %), rad, from the freedom of the scatter along d.
+
+    The variance along d, sigma_u^2 + sigma_phi^2 |d|^2, is known to a part sqrt(2/freedom) of itself.
+    """
+    if slope2 <= 0.0:
+        return 0.0, float("inf")
+    u = np.sqrt(2.0 / max(freedom, 1.0)) * (reading**2 / slope2 + setting_rad**2)
+    low, high = setting_rad**2 - 2 * u, setting_rad**2 + 2 * u
+    return float(np.sqrt(max(low, 0.0))), float(np.sqrt(high))
 
 
 def _bounds(*sizes: tuple[float, float]) -> list[tuple[float, float]]:
@@ -145,7 +158,8 @@ def noise_from_residuals(response: Floats, design: Floats, slope: Floats, fixed:
     bounds = _bounds((floor, guess), (1e-3 * guess / steepness, guess / steepness))
     found = minimize(minus_two_log_likelihood, start, method="L-BFGS-B", bounds=bounds)
     reading, setting = np.exp(found.x)
-    return Noise(float(reading), float(setting), float(freedom), "residuals")
+    limits = setting_limits(float(reading), float(setting), float(np.mean(length**2)), freedom / 3)
+    return Noise(float(reading), float(setting), float(freedom), "residuals", limits)
 
 
 def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:

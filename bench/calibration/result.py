@@ -40,13 +40,15 @@ class Noise:
 
     `reading` (unit of the signal) is fresh in each channel of each reading, `setting_rad` in each setting
     of the head and common to its three channels. `dof` are the degrees of freedom of the estimate (counted
-    in single signals), infinite when given. `source` says where the sizes come from.
+    in single signals), infinite when given. `source` says where the sizes come from. `setting_limits_rad` are
+    the values between which the setting error lies with about 95 %: repeats often tell little of it.
     """
 
     reading: float
     setting_rad: float
     dof: float
     source: str
+    setting_limits_rad: tuple[float, float] | None = None
 
     def widened(self) -> Noise:
         """Return the sizes as they enter an uncertainty: larger where they are estimates themselves.
@@ -134,12 +136,17 @@ class Calibration:
             "noise": {
                 "reading_v": self.noise.reading,
                 "setting_arcsec": self.noise.setting_rad / ARCSEC,
+                "setting_limits_arcsec": self._setting_limits_arcsec(),
                 "dof": _number(self.noise.dof),
                 "source": self.noise.source,
             },
             "readings": {"used": len(self.fitted), "skipped": self.skipped},
             "model": self.model,
         }
+
+    def _setting_limits_arcsec(self) -> list[float] | None:
+        limits = self.noise.setting_limits_rad
+        return None if limits is None else [limit / ARCSEC for limit in limits]
 
 
 def _number(value: float) -> float | None:

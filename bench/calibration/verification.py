@@ -33,16 +33,21 @@ class VerificationPoint:
 
 @dataclass(frozen=True)
 class Verification:
-    """The verdict: simple acceptance, |delta g| within the limit at every verification point."""
+    """The verdict: simple acceptance, |delta g| within the limit at every verification point.
+
+    `missing` counts points that were planned or written down but could not be judged: with one missing
+    nothing is accepted, since (10) is demanded of every point.
+    """
 
     limit_g: float
     points: tuple[VerificationPoint, ...]
+    missing: int = 0
     rule: str = "simple acceptance"
 
     @property
     def passed(self) -> bool:
-        """Whether every point passed."""
-        return all(point.passed for point in self.points)
+        """Whether every point was measured and passed."""
+        return not self.missing and all(point.passed for point in self.points)
 
     def to_json(self) -> dict[str, Any]:
         """Return the promised result."""
@@ -50,6 +55,7 @@ class Verification:
             "limit_g": self.limit_g,
             "rule": self.rule,
             "passed": self.passed,
+            "missing": self.missing,
             "points": [
                 {
                     "angle_deg": p.angle_deg,
@@ -66,13 +72,20 @@ class Verification:
 
 
 def verify(
-    readings: Readings, block: Block, covariance: Floats, reading_noise: float, limit_g: float
+    readings: Readings,
+    block: Block,
+    covariance: Floats,
+    reading_noise: float,
+    limit_g: float,
+    g_ratio: float = 1.0,
 ) -> Verification:
     """Apply (9)-(10) to the verification rows of a table.
 
-    `covariance` (12, 12) of the coefficients and `reading_noise` (unit of the signal) give u of each delta g;
-    the setting of the head does not enter, the modulus does not depend on it. The rule is simple acceptance
-    (JCGM 106:2012, 8.2). Raises `CalibrationError` when there is no verification row or K is singular.
+    `g_ratio` is the gravity in which the coefficients are given over the local one: a block calibrated
+    elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients and
+    `reading_noise` (unit of the signal) give u of each delta g; the setting of the head does not enter, the
+    modulus does not depend on it. The rule is simple acceptance (JCGM 106:2012, 8.2). Raises
+    `CalibrationError` when there is no verification row or K is singular.
     """
     rows = readings.verification()
     if len(rows) == 0:
@@ -87,6 +100,7 @@ def verify(
     inverse = np.linalg.inv(block.K)
     force = block.specific_force(rows.signal)
     modulus = np.linalg.norm(force, axis=1)
+    g_p = modulus * g_ratio
     # d|a|/dU = (a/|a|)^T N, d|a|/dK_ij = -(that)_i a_j, d|a|/dU0 = -(that)
     by_signal = (force / modulus[:, None]) @ inverse
     by_k = -(by_signal[:, :, None] * force[:, None, :]).reshape(len(rows), 9)
@@ -98,11 +112,11 @@ def verify(
             angle_deg=float(np.degrees(rows.angle_rad[i])),
             pass_number=int(rows.pass_number[i]),
             point=int(rows.point[i]),
-            g_p=float(modulus[i]),
-            delta_g=float(modulus[i] - 1.0),
-            u=float(np.sqrt(variance[i])),
-            passed=bool(abs(modulus[i] - 1.0) <= limit_g),
+            g_p=float(g_p[i]),
+            delta_g=float(g_p[i] - 1.0),
+            u=float(np.sqrt(variance[i])) * g_ratio,
+            passed=bool(abs(g_p[i] - 1.0) <= limit_g),
         )
         for i in range(len(rows))
     )
-    return Verification(limit_g, points)
+    return Verification(limit_g, points, readings.verification_missing)

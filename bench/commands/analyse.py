@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-import json
+import math
+import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from bench.calibration import Calibration, Verification
+from bench.calibration import Calibration, CalibrationError, Verification, implausible
 from bench.calibration import calibrate as estimate
 from bench.calibration import verify as check
 from bench.commands import CommandError, printing
-from bench.commands.source import Request, Source, load_sources, write_beside, write_json
-from bench.model.block import COEFFICIENTS, Block
+from bench.commands.coefficients import Coefficients, read_coefficients
+from bench.commands.source import (
+    Request,
+    Source,
+    check_target,
+    load_sources,
+    to_text,
+    write_beside,
+    write_json,
+    write_whole,
+)
 
 __all__ = ["Request", "calibrate", "report", "verify"]
 
@@ -21,48 +29,68 @@ LACK_OF_FIT_P = 0.01
 
 
 def calibrate(request: Request, estimator: str, target: str | None, *, strict: bool) -> int:
-    """Carry out `bench calibrate`; 1 with `strict` when the model does not fit the readings."""
-    results: list[dict[str, Any]] = []
+    """Carry out `bench calibrate`; 1 with `strict` when the model does not fit, or the block is another."""
+    check_target(target)
+    sources = load_sources(request)
+    results = [calibration_of(source, estimator) for source in sources]
     accepted = True
-    for source in load_sources(request):
-        result = calibration_of(source, estimator)
-        results.append(result.to_json())
-        accepted &= not result.lack_of_fit.p < LACK_OF_FIT_P
-        text = json.dumps(results[-1], indent=1) + "\n"
-        file = source.output("calibrate", ".json")
-        written = write_beside(file, text, asked=request.out is not None)
-        if target != "-":
-            printing.calibration(source, result, file if written else None)
-    write_json(results, target)
+    for source, result in zip(sources, results, strict=True):
+        doubts = doubts_of(source, result)
+        accepted &= not doubts and not result.lack_of_fit.p < LACK_OF_FIT_P
+        file = _written(source, "calibrate", calibration_json(source, result))
+        if target == "-":
+            _notes_to_stderr((*doubts, *source.readings.notes, *source.readings.skipped))
+        else:
+            printing.calibration(source, result, doubts, file)
+    write_json([calibration_json(s, r) for s, r in zip(sources, results, strict=True)], target)
     return 0 if accepted or not strict else 1
 
 
 def verify(request: Request, coefficients: Path | None, limit_g: float | None, target: str | None) -> int:
-    """Carry out `bench verify`; 1 when a verification point is outside the limit."""
-    results: list[dict[str, Any]] = []
-    passed = True
-    for source in load_sources(request):
-        result = verification_of(source, coefficients, limit_g)
-        results.append(result.to_json())
-        passed &= result.passed
-        file = source.output("verify", ".json")
-        written = write_beside(file, json.dumps(results[-1], indent=1) + "\n", asked=request.out is not None)
-        if target != "-":
-            printing.verification(source.name, result, file if written else None)
-    write_json(results, target)
-    return 0 if passed else 1
+    """Carry out `bench verify`; 1 when a verification point is outside the limit, or missing."""
+    check_target(target)
+    if limit_g is not None and not (math.isfinite(limit_g) and limit_g > 0):
+        raise CommandError(f"--limit {limit_g}: a limit is a positive number of g, such as 3e-4")
+    sources = load_sources(request)
+    results = [verification_of(source, coefficients, limit_g) for source in sources]
+    for source, result in zip(sources, results, strict=True):
+        file = _written(source, "verify", result.to_json())
+        if target == "-":
+            _notes_to_stderr((*source.readings.notes, *source.readings.skipped))
+        else:
+            printing.verification(source, result, file)
+    write_json([result.to_json() for result in results], target)
+    return 0 if all(result.passed for result in results) else 1
 
 
 def report(request: Request) -> int:
     """Carry out `bench report`; the exit status is that of the verification in it."""
     (source,) = load_sources(request)
-    verdict = write_report(source)
+    verdict = write_report(source, calibration_of(source))
+    if verdict is not None:
+        printing.verdict(source.name, verdict)
     return 0 if verdict is None or verdict.passed else 1
 
 
 def calibration_of(source: Source, estimator: str = "gls") -> Calibration:
     """Calibrate a source with its own bench and model."""
     return estimate(source.readings, source.model, source.stand_u, source.g_m_s2, estimator)
+
+
+def doubts_of(source: Source, result: Calibration) -> tuple[str, ...]:
+    """Say where the block found is not the block announced."""
+    return implausible(result, source.bench.unit_under_test.scale_factors.values)
+
+
+def calibration_json(source: Source, result: Calibration) -> dict[str, Any]:
+    """Return the promised result, and where it comes from."""
+    return {
+        **result.to_json(),
+        "source": source.name,
+        "simulated": source.simulated,
+        "notes": [*doubts_of(source, result), *source.readings.notes],
+        "skipped_rows": list(source.readings.skipped),
+    }
 
 
 def verification_of(
@@ -74,43 +102,30 @@ def verification_of(
     """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings."""
     limit = source.bench.verification_limit_g if limit_g is None else limit_g
     if coefficients is not None:
-        block, covariance, noise = read_coefficients(coefficients, source.readings.unit)
+        taken = read_coefficients(coefficients, source.readings.unit)
     else:
         own = calibration or calibration_of(source)
-        block, covariance, noise = own.block, own.covariance, own.noise.reading
-    return check(source.readings, block, covariance, noise, limit)
+        taken = Coefficients(own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit)
+    ratio = taken.g_m_s2 / source.g_m_s2
+    return check(source.readings, taken.block, taken.covariance, taken.noise, limit, ratio)
 
 
-def read_coefficients(path: Path, unit: str) -> tuple[Block, Any, float]:
-    """Read a result of `calibrate --json`: the block, its covariance (12, 12), the noise of a reading.
-
-    Raises `CommandError` when the file is not one, or in another unit than the readings.
-    """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        values = np.array([data["coefficients"][name]["value"] for name in COEFFICIENTS], dtype=np.float64)
-        by_name = {name: i for i, name in enumerate(data["order"])}
-        order = [by_name[name] for name in COEFFICIENTS]
-        covariance = np.array(data["covariance"], dtype=np.float64)[np.ix_(order, order)]
-        noise = float(data["noise"]["reading_v"])
-        theirs = str(data["unit"])
-    except OSError as error:
-        raise CommandError(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise CommandError(
-            f"{path}: not a result of 'bench calibrate --json' ({type(error).__name__}: {error})"
-        ) from error
-    if theirs != unit:
-        raise CommandError(f"{path}: coefficients in {theirs}/g, but the readings are in {unit}")
-    return Block.from_vector(values), covariance, noise
+def _written(source: Source, command: str, result: dict[str, Any]) -> Path | None:
+    file = source.output(command, ".json")
+    return file if write_beside(file, to_text(result), asked=source.request.out is not None) else None
 
 
-def write_report(source: Source) -> Verification | None:
-    """Calibrate, verify and write the page of a source; return the verification where there is one."""
+def _notes_to_stderr(notes: tuple[str, ...]) -> None:
+    """Standard output is JSON alone; what a person should know goes beside it."""
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+
+
+def write_report(source: Source, calibration: Calibration) -> Verification | None:
+    """Verify and write the page of a source; return the verification where there is one. Raises `OSError`."""
     from bench.commands.provenance import provenance
     from bench.report import ReportContent, render_report
 
-    calibration = calibration_of(source)
     verdict = None
     if len(source.readings.verification()):
         verdict = verification_of(source, calibration=calibration)
@@ -121,20 +136,19 @@ def write_report(source: Source) -> Verification | None:
         verification=verdict,
         compared=_closed_form(source),
         provenance=provenance(source),
-        notes=source.readings.notes,
+        notes=(*doubts_of(source, calibration), *source.readings.notes),
         skipped=source.readings.skipped,
-        simulated=source.run is not None and source.run.simulated,
+        simulated=source.simulated,
     )
     file = source.output("report", ".html")
-    if write_beside(file, render_report(content), asked=source.request.out is not None):
-        printing.written("report", file)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, render_report(content))
+    printing.written("report", file)
     return verdict
 
 
 def _closed_form(source: Source) -> Calibration | None:
     """The paper's estimator beside ours, where the readings are such that it applies."""
-    from bench.calibration import CalibrationError
-
     try:
         return calibration_of(source, "closed-form")
     except CalibrationError:

@@ -2,60 +2,235 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 
 from bench.bench_file import BenchFile, load_bench
 from bench.commands import CommandError, printing
 from bench.commands.source import bench_path, write_json
+from bench.model.block import COEFFICIENTS
 from bench.plan import Plan
-from bench.procedure import check as check_against
+from bench.plan_check import check as check_against
+from bench.plan_check import (
+    disk_needed_bytes,
+    largest_signal_v,
+    operator_actions,
+    orientations,
+    prompts_without_default,
+    undetermined,
+)
+from bench.plan_listing import listing
 from bench.procedure import load_procedure
 from bench.shipped import copy_shipped, find_procedure
 from bench.terminal import duration
+from bench.yaml_file import FileMistakes
 
 
-def check(procedure: str, bench_name: str | None, target: str | None) -> int:
-    """Carry out `bench check`; 1 when the procedure cannot be carried out on the bench."""
-    plan = load_procedure(find_procedure(procedure)).expand()
-    bench = load_bench(bench_path(bench_name))
+@dataclass(frozen=True)
+class _Findings:
+    """What is known of a plan on a bench before it is carried out."""
+
+    plan: Plan
+    bench: BenchFile
+    problems: tuple[str, ...]
+    unanswered: tuple[str, ...]
+    operator_actions: int
+    by_kind_s: Mapping[str, float]
+    by_mount_s: Mapping[str, float]
+    longest_s: float
+    runs: Path
+    needed_bytes: int
+    free_bytes: int
+    largest_signal_v: float
+    undetermined: Mapping[float | None, tuple[str, ...]]
+
+    @property
+    def expected_s(self) -> float:
+        """Expected time of the whole plan, s."""
+        return sum(self.by_kind_s.values())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the findings as JSON values."""
+        return {
+            "procedure": self.plan.name,
+            "bench": self.bench.name,
+            "plan_hash": self.plan.hash,
+            "steps": len(self.plan.steps),
+            "counts": self.plan.counts(),
+            "operator_actions": self.operator_actions,
+            "expected_s": self.expected_s,
+            "expected_by_kind_s": dict(self.by_kind_s),
+            "expected_by_installation_s": dict(self.by_mount_s),
+            "longest_s": self.longest_s,
+            "disk": {
+                "folder": str(self.runs),
+                "needed_bytes": self.needed_bytes,
+                "free_bytes": self.free_bytes,
+            },
+            "largest_signal_v": self.largest_signal_v,
+            "not_determined": [
+                {"temperature_c": at_c, "coefficients": list(names)}
+                for at_c, names in self.undetermined.items()
+            ],
+            "problems": list(self.problems),
+            "dry_run_refuses": list(self.unanswered),
+        }
+
+
+def check(
+    procedure: str,
+    bench_name: str | None,
+    target: str | None,
+    *,
+    every_step: bool = False,
+    runs: Path = Path("runs"),
+) -> int:
+    """Carry out `bench check`; 1 when the procedure cannot be carried out on the bench.
+
+    `every_step` lists each step in a line of its own; `runs` is the folder whose disk is looked at. Raises
+    `CommandError` with the mistakes of both files.
+    """
+    plan, bench = _load(procedure, bench_name)
+    found = _find(plan, bench, runs)
+    write_json([found.to_json()], target)
+    if target != "-":
+        _print(found, every_step=every_step)
+        _offer_dry_run(found, procedure, bench_name)
+    return 1 if found.problems else 0
+
+
+def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
+    plan: Plan | None = None
+    bench: BenchFile | None = None
+    mistakes = []
+    try:
+        plan = load_procedure(find_procedure(procedure)).expand()
+    except FileMistakes as error:
+        mistakes.append(str(error))
+    try:
+        bench = load_bench(bench_path(bench_name))
+    except FileMistakes as error:
+        mistakes.append(str(error))
+    if plan is None or bench is None:
+        raise CommandError("\n".join(mistakes))
+    return plan, bench
+
+
+def _find(plan: Plan, bench: BenchFile, runs: Path) -> _Findings:
+    needed, free = disk_needed_bytes(plan), _free_bytes(runs)
     problems = check_against(plan, bench)
-    write_json([_summary(plan, bench, problems)], target)
-    if target == "-":
-        return 1 if problems else 0
-    out = printing.console()
-    for number, step in enumerate(plan.steps, start=1):
-        out.print(f"{number:5d}  {step.describe()}")
-    table = Table(box=None, pad_edge=False)
-    for heading in ("step", "count", "expected time"):
-        table.add_column(heading, justify="left" if heading == "step" else "right")
-    times = plan.duration_by_kind_s()
-    for kind, count in plan.counts().items():
-        table.add_row(kind, str(count), duration(times[kind]))
-    out.print(table)
-    out.print(
-        f"{plan.name} on {bench.name}: {len(plan.steps)} steps, {plan.operator_actions()} operator actions, "
-        f"about {duration(sum(times.values()))}; plan {plan.hash[:12]}"
+    if needed > free:
+        problems.append(
+            f"{runs}: a run needs about {_told_bytes(needed)} of disk, and {_told_bytes(free)} are free; make "
+            "room or choose another folder with --runs"
+        )
+    return _Findings(
+        plan=plan,
+        bench=bench,
+        problems=tuple(problems),
+        unanswered=tuple(prompts_without_default(plan)),
+        operator_actions=operator_actions(plan, bench),
+        by_kind_s=plan.duration_by_kind_s(bench.line_frequency),
+        by_mount_s=plan.duration_by_mount_s(bench.line_frequency),
+        longest_s=plan.longest_duration_s(bench.line_frequency),
+        runs=runs,
+        needed_bytes=needed,
+        free_bytes=free,
+        largest_signal_v=largest_signal_v(plan, bench),
+        undetermined={at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()},
     )
-    for problem in problems:
+
+
+def _free_bytes(folder: Path) -> int:
+    """Return what is free on the disk of a folder, or of the nearest one above it that is there."""
+    path = folder.resolve()
+    while not path.exists():
+        path = path.parent
+    return shutil.disk_usage(path).free
+
+
+# --- printed ----------------------------------------------------------------------------------------
+
+
+def _print(found: _Findings, *, every_step: bool) -> None:
+    out = printing.console()
+    plan, bench = found.plan, found.bench
+    for line in listing(plan, every_step=every_step):
+        steps = f"{line.first}" if line.first == line.last else f"{line.first}–{line.last}"
+        out.print(f"{steps:>13}  {line.text}")
+    counts = {kind: str(count) for kind, count in plan.counts().items()}
+    _print_times(out, "step", found.by_kind_s, counts)
+    _print_times(out, "installation", {name or "before": s for name, s in found.by_mount_s.items()}, {})
+    at_most = f" (at most {duration(found.longest_s)})" if found.longest_s > found.expected_s else ""
+    out.print(
+        f"{plan.name} on {bench.name}: {len(plan.steps)} steps, {found.operator_actions} operator actions, "
+        f"about {duration(found.expected_s)}{at_most}; plan {plan.hash[:12]}"
+    )
+    out.print(
+        f"signals up to {found.largest_signal_v:.3g} V at nominal scale factors, on the "
+        f"{bench.voltmeter_range_v:g} V range; about {_told_bytes(found.needed_bytes)} in {found.runs}, where "
+        f"{_told_bytes(found.free_bytes)} are free"
+    )
+    for sentence in _told_coefficients(found.undetermined):
+        out.print(sentence)
+    for problem in found.problems:
         out.print(f"cannot be done: {problem}")
-    if not problems:
-        out.print(f"no mistakes found; try it with: bench run {procedure} --dry-run")
-    return 1 if problems else 0
+    for sentence in found.unanswered:
+        out.print(f"a dry run refuses it: {sentence}")
 
 
-def _summary(plan: Plan, bench: BenchFile, problems: list[str]) -> dict[str, object]:
-    return {
-        "procedure": plan.name,
-        "bench": bench.name,
-        "plan_hash": plan.hash,
-        "steps": len(plan.steps),
-        "counts": plan.counts(),
-        "operator_actions": plan.operator_actions(),
-        "expected_s": sum(plan.duration_by_kind_s().values()),
-        "problems": problems,
-    }
+def _print_times(out: Console, heading: str, times_s: Mapping[str, float], counts: Mapping[str, str]) -> None:
+    table = Table(box=None, pad_edge=False)
+    table.add_column(heading)
+    if counts:
+        table.add_column("count", justify="right")
+    table.add_column("expected time", justify="right")
+    for name, seconds in times_s.items():
+        table.add_row(name, *([counts[name]] if counts else []), duration(seconds))
+    out.print(table)
+
+
+def _told_coefficients(undetermined: Mapping[float | None, tuple[str, ...]]) -> Iterator[str]:
+    """Say which coefficients a calibration from the plan determines; by temperature where there are several."""
+    if not undetermined:
+        yield "no calibration: it has no reading in an installation of known orientation"
+    for names in dict.fromkeys(undetermined.values()):
+        temperatures = [at_c for at_c, these in undetermined.items() if these == names]
+        told = ", ".join("the first temperature" if at_c is None else f"{at_c:g} °C" for at_c in temperatures)
+        where = f"at {told}: " if len(undetermined) > 1 else ""
+        if not names:
+            yield f"{where}determines all twelve coefficients"
+        elif len(names) == len(COEFFICIENTS):
+            yield f"{where}no calibration: the orientations determine none of the twelve coefficients"
+        else:
+            determined = [name for name in COEFFICIENTS if name not in names]
+            yield (
+                f"{where}no calibration by itself: the orientations determine {', '.join(determined)} and "
+                f"leave {', '.join(names)} open"
+            )
+
+
+def _offer_dry_run(found: _Findings, procedure: str, bench_name: str | None) -> None:
+    if found.problems or found.unanswered:
+        return
+    on = f" --bench {bench_name}" if bench_name else ""
+    printing.console().print(
+        f"no mistakes found; try it in seconds with: bench run {procedure}{on} --dry-run"
+    )
+
+
+def _told_bytes(size: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.4g} GB"
 
 
 def init(folder: Path) -> int:

@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.bench_file import BenchFile, load_bench
-from bench.calibration import CalibrationError
-from bench.commands import CommandError, analyse, printing
+from bench.bench_file import load_bench
+from bench.commands import CommandError, printing
+from bench.commands.carrying_out import carry_out, conclude
 from bench.commands.provenance import versions
-from bench.commands.source import Request as AnalysisRequest
-from bench.commands.source import bench_path, load_sources
-from bench.compose import Assembly, dry_bench, real_bench
+from bench.commands.source import bench_path
+from bench.control import SIGN, leave_wish, parse_wish
 from bench.interrupts import Interrupts
-from bench.model import ForwardModel
 from bench.model_file import load_model
-from bench.plan import Plan
-from bench.procedure import check, load_procedure
-from bench.record import Record, sha256
-from bench.resume import ResumePoint, resume_point
-from bench.run_folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, find_run
-from bench.runner import Runner
+from bench.procedure import Procedure, check, load_procedure
+from bench.record import Record, RecordError, is_being_written
+from bench.run_folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.shipped import find_procedure
-from bench.terminal import ProgressBar, TerminalPerson
+from bench.states import ENDED
+from bench.wire_log import logged_wire
 from drivers.clock import utc_now
-
-UNFINISHED = frozenset({"running", "failed", "interrupted", "empty"})
 
 
 @dataclass(frozen=True)
@@ -45,11 +38,12 @@ class Request:
     operator: str
     model: Path | None
     runs: Path
+    wire_log: Path | None = None
 
 
 def run(request: Request) -> int:
     """Carry out `bench run`."""
-    if request.bench is None and not request.dry_run:
+    if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
         raise CommandError(
             "a run on real instruments needs a bench file: say --bench FILE (or set BENCH_FILE), "
             "or try it first with --dry-run"
@@ -57,7 +51,8 @@ def run(request: Request) -> int:
     if request.model is not None and not request.dry_run:
         raise CommandError("--model says what the simulated bench contains; it goes with --dry-run")
     procedure_path, bench_file_path = find_procedure(request.procedure), bench_path(request.bench)
-    plan = load_procedure(procedure_path).expand()
+    procedure = load_procedure(procedure_path)
+    plan = procedure.expand()
     bench = load_bench(bench_file_path)
     problems = check(plan, bench, dry_run=request.dry_run)
     if problems:
@@ -65,14 +60,13 @@ def run(request: Request) -> int:
     inputs = {
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
         PROCEDURE: procedure_path.read_bytes(),
+        **_included(procedure),
         BENCH: bench_file_path.read_bytes(),
     }
     if request.model is not None:
         load_model(request.model)
         inputs[MODEL] = request.model.read_bytes()
-    name = request.name or free_name(plan.name, request.runs)
-    if not re.fullmatch(r"[\w.+-][\w.+ -]*", name):
-        raise CommandError(f"{name!r}: a run's name is letters, digits, dots, dashes and blanks")
+    name = checked_name(request.name or free_name(plan.name, request.runs))
     manifest = {
         "name": name,
         "created": utc_now().isoformat(),
@@ -88,21 +82,40 @@ def run(request: Request) -> int:
         },
         "versions": versions(),
     }
-    with Interrupts() as interrupts:
+    with logged_wire(request.wire_log) as wire, Interrupts() as interrupts:
         record = Record.create(request.runs / name, manifest, inputs, utc_now, interrupts.shield)
-        _carry_out(Run(request.runs / name), record, None)
-    return _conclude(Run(request.runs / name))
+        carry_out(Run(request.runs / name), record, None, wire)
+    return conclude(Run(request.runs / name))
 
 
-def resume(name: str | None, runs: Path) -> int:
+def _included(procedure: Procedure) -> dict[str, bytes]:
+    """The files that a procedure includes, numbered, since two may have one name."""
+    return {
+        f"include-{n}-{path.name}": path.read_bytes() for n, path in enumerate(procedure.files[1:], start=1)
+    }
+
+
+def resume(name: str | None, runs: Path, wire_log: Path | None = None) -> int:
     """Carry out `bench resume`."""
     found = _unfinished(name, runs)
-    with Interrupts() as interrupts:
+    for change in changed_since(found):
+        printing.console().print(f"note: {change}; the run goes on with the copy in its folder")
+    with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
         if history.torn:
             print("note: the last line of the record was half written and is dropped", file=sys.stderr)
-        _carry_out(found, record, resume_point(found.plan, history))
-    return _conclude(Run(found.folder))
+        carry_out(found, record, history, wire)
+    return conclude(Run(found.folder))
+
+
+def changed_since(run: Run) -> list[str]:
+    """Say which of the files that a run was begun with look different now, where they still are."""
+    changes = []
+    for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
+        original = Path(str(run.manifest.get(kind)))
+        if original.is_file() and original.read_bytes() != (run.folder / copy).read_bytes():
+            changes.append(f"{original} was changed since the run began")
+    return changes
 
 
 def abort(name: str | None, runs: Path) -> int:
@@ -115,109 +128,48 @@ def abort(name: str | None, runs: Path) -> int:
     return 0
 
 
+def control(name: str, wish: str, reason: str, runs: Path) -> int:
+    """Carry out `bench control`: leave a wish for the program that carries out the run."""
+    found = find_run(name, runs)
+    try:
+        asked = replace(parse_wish(f"{wish} {reason}"), by_person=False)
+    except ValueError as mistake:
+        raise CommandError(str(mistake).replace(SIGN, "")) from mistake
+    if not is_being_written(found.folder):
+        raise CommandError(f"{found.name}: nobody is carrying out this run; 'bench runs' tells how to go on")
+    leave_wish(found.folder, asked)
+    printing.console().print(f"{found.name}: {asked.wish} is asked for; it is heard before the next step")
+    return 0
+
+
 def _unfinished(name: str | None, runs: Path) -> Run:
     if name is None:
-        waiting = [run for run in all_runs(runs) if run.history.state in UNFINISHED]
+        waiting = [run for run in all_runs(runs) if _waits(run)]
         if not waiting:
             raise CommandError(f"{runs}: no unfinished run there")
         return waiting[-1]
     found = find_run(name, runs)
-    if found.history.state not in UNFINISHED:
+    if found.imported:
+        raise CommandError(f"{found.name}: was imported from a readings file; there is nothing to go on with")
+    if found.history.state in ENDED:
         raise CommandError(f"{found.name}: nothing to do, the run is {found.history.state}")
     return found
 
 
+def _waits(run: Run) -> bool:
+    """Whether a run was begun here, has not ended, and nobody is carrying it out."""
+    try:
+        waits = not run.imported and run.history.state not in ENDED
+    except (RecordError, ValueError):
+        return False
+    return waits and not is_being_written(run.folder)
+
+
 def free_name(procedure: str, runs: Path) -> str:
     """Return a name that no run has: the procedure and the time, and a number where that is taken."""
-    base = f"{procedure}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
+    stem = re.sub(r"[^\w.+-]", "-", procedure)
+    base = f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     name, number = base, 2
     while (runs / name).exists():
         name, number = f"{base}-{number}", number + 1
     return name
-
-
-def _carry_out(run: Run, record: Record, resume: ResumePoint | None) -> None:
-    """Run to the end; say what is kept when it stops before."""
-    bench = load_bench(run.folder / BENCH)
-    where = "simulated instruments" if run.simulated else "the bench"
-    out = printing.console()
-    verb = "goes on" if resume else "starts"
-    out.print(f"run {run.name} {verb} on {where}: {len(run.plan.steps)} steps, recorded in {run.folder}")
-    try:
-        with _assembly(run, bench) as (assembly, bar):
-            Runner(
-                plan=run.plan,
-                instruments=assembly.instruments,
-                person=assembly.person,
-                clock=assembly.clock,
-                record=record,
-                range_v=bench.voltmeter_range_v,
-                observers=(*assembly.observers, bar),
-                at_resumed_time=assembly.at_resumed_time,
-            ).run(resume)
-    except KeyboardInterrupt:
-        raise CommandError(f"interrupted; {_kept(run)}") from None
-    except Exception:
-        print(f"bench: {_kept(run)}", file=sys.stderr)
-        raise
-    finally:
-        record.close()
-
-
-@contextmanager
-def _assembly(run: Run, bench: BenchFile) -> Iterator[tuple[Assembly, ProgressBar]]:
-    """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
-    out = printing.console()
-    bar = ProgressBar(run.plan, out, step_durations(run.plan))
-    with bar:
-        if run.simulated:
-            with dry_bench(bench, truth(run, bench), int(run.manifest["seed"])) as assembly:
-                yield assembly, bar
-        else:
-            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on)), bar
-
-
-def truth(run: Run, bench: BenchFile) -> ForwardModel:
-    """Return the model that the simulated world obeys: effects of the bench file and of the model file."""
-    effects = bench.applied_effects()
-    if (run.folder / MODEL).is_file():
-        effects += load_model(run.folder / MODEL).applied_effects()
-    return ForwardModel(bench.installation_models(), effects)
-
-
-def step_durations(plan: Plan) -> list[float]:
-    """Expected bench time of each step, s."""
-    return [plan.step_duration_s(step) for step in plan.steps]
-
-
-def _kept(run: Run) -> str:
-    done = sum(1 for e in Run(run.folder).history.events if e.type == "step_done" and "reading" in e.data)
-    return f"{done} readings are kept in {run.folder}; go on with 'bench resume {run.name}'"
-
-
-def _conclude(run: Run) -> int:
-    """Calibrate, verify and report a finished run; 1 when the verification failed.
-
-    A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
-    """
-    request = AnalysisRequest([str(run.folder)], run.folder.parent, None, None, None, None, False)
-    (source,) = load_sources(request)
-    try:
-        calibration = analyse.calibration_of(source)
-    except CalibrationError as reason:
-        printing.console().print(f"the run is finished; no calibration from it: {reason}")
-        return 0
-    file = source.output("calibrate", ".json")
-    file.write_text(json.dumps(calibration.to_json(), indent=1) + "\n", encoding="utf-8")
-    printing.calibration(source, calibration, file)
-    verdict = analyse.write_report(source)
-    if verdict is None:
-        printing.console().print("no verification points in this procedure: no verdict")
-        return 0
-    file = source.output("verify", ".json")
-    file.write_text(json.dumps(verdict.to_json(), indent=1) + "\n", encoding="utf-8")
-    printing.verification(run.name, verdict, file)
-    return 0 if verdict.passed else 1
-
-
-__all__ = ["Request", "abort", "resume", "run", "sha256"]

@@ -8,10 +8,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench.calibration import Calibration, Verification
+from bench.calibration import Calibration, Noise, Verification
 from bench.commands.source import Source
 from bench.model.block import COEFFICIENTS
-from bench.report.numbers import places, scale_for
+from bench.report.numbers import fixed, places, scale_for
 
 
 def console() -> Console:
@@ -20,8 +20,8 @@ def console() -> Console:
     return out if out.is_terminal else Console(highlight=False, soft_wrap=True, markup=False, width=120)
 
 
-def calibration(source: Source, result: Calibration, file: Path | None) -> None:
-    """Print the coefficients, the noise and the fit."""
+def calibration(source: Source, result: Calibration, doubts: tuple[str, ...], file: Path | None) -> None:
+    """Print the coefficients, the noise and the fit; `doubts` say why the block may not be the one announced."""
     out = console()
     readings = f"{len(result.fitted)} readings"
     if result.skipped:
@@ -37,10 +37,10 @@ def calibration(source: Source, result: Calibration, file: Path | None) -> None:
     scale = scale_for(noise.reading, result.unit)
     out.print(
         f"noise (1 sigma, from {noise.source}): reading {noise.reading / scale.size:.3g} {scale.unit}, "
-        f"setting of the head {np.degrees(noise.setting_rad) * 3600:.2g} arcsec"
+        f"setting of the head {np.degrees(noise.setting_rad) * 3600:.2g} arcsec{_limits(noise)}"
     )
     if np.isfinite(fit.p):
-        verdict = "the model fits" if fit.p >= 0.01 else "THE MODEL DOES NOT FIT the readings"
+        verdict = "none shown at 1 %" if fit.p >= 0.01 else "THE MODEL DOES NOT FIT the readings"
         out.print(
             f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
         )
@@ -48,7 +48,7 @@ def calibration(source: Source, result: Calibration, file: Path | None) -> None:
         out.print("lack of fit: too few repeats to tell")
     for name, value in result.effects.items():
         out.print(f"effect {name} = {value.value:.4g} ± {value.u:.2g} {value.unit}")
-    for note in (*source.readings.notes, *source.readings.skipped):
+    for note in (*doubts, *source.readings.notes, *source.readings.skipped):
         out.print(f"note: {note}")
     for sentence in result.assumed:
         out.print(f"assumed: {sentence}")
@@ -68,13 +68,21 @@ def coefficient_table(result: Calibration) -> Table:
     ):
         table.add_column(heading, justify=side)  # type: ignore[arg-type]
     for name, value, u in zip(COEFFICIENTS, result.block.vector, result.u, strict=True):
-        digits = max(0, places(float(u)))
+        digits = places(float(u))
         unit = result.unit if name.startswith("U0") else f"{result.unit}/g"
-        table.add_row(name, f"{value:.{digits}f}", f"{u:.{digits}f}", f"{2 * u:.{digits}f}", unit)
+        table.add_row(name, fixed(value, digits), fixed(u, digits), fixed(2 * u, digits), unit)
     return table
 
 
-def verification(name: str, result: Verification, file: Path | None) -> None:
+def _limits(noise: Noise) -> str:
+    """Between which values the setting error lies, where the repeats tell."""
+    if noise.setting_limits_rad is None:
+        return ""
+    low, high = (np.degrees(limit) * 3600 for limit in noise.setting_limits_rad)
+    return f" (95 %: {low:.2g} to {high:.2g})"
+
+
+def verification(source: Source, result: Verification, file: Path | None) -> None:
     """Print Δg at each verification point and the verdict."""
     out = console()
     table = Table(box=None, pad_edge=False)
@@ -89,14 +97,22 @@ def verification(name: str, result: Verification, file: Path | None) -> None:
             "within" if p.passed else "OUTSIDE",
         )
     out.print(table)
-    worst = max(result.points, key=lambda p: abs(p.delta_g))
-    out.print(
-        f"{name}: {'PASSED' if result.passed else 'FAILED'}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
-        f"± {worst.u * 1e6:.1f} µg (u), limit {result.limit_g * 1e6:.0f} µg, rule: {result.rule}",
-        style="bold",
-    )
+    for note in (*source.readings.notes, *source.readings.skipped):
+        out.print(f"note: {note}")
     if file is not None:
         written("result", file)
+    verdict(source.name, result)
+
+
+def verdict(name: str, result: Verification) -> None:
+    """Print the verdict in one line."""
+    worst = max(result.points, key=lambda p: abs(p.delta_g))
+    missing = f"; {result.missing} verification points are missing" if result.missing else ""
+    console().print(
+        f"{name}: {'PASSED' if result.passed else 'FAILED'}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
+        f"± {worst.u * 1e6:.1f} µg (u), limit {result.limit_g * 1e6:.0f} µg, rule: {result.rule}{missing}",
+        style="bold",
+    )
 
 
 def written(what: str, file: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -12,9 +13,10 @@ from bench.commands import printing
 from bench.commands.provenance import versions
 from bench.commands.source import Request, bench_path, load_sources, write_json
 from bench.readings_csv import format_csv, read_csv
-from bench.record import Record
+from bench.record import Record, RecordError, is_being_written
 from bench.resume import resume_point
-from bench.run_folder import BENCH, IMPORTED, Run, all_runs, find_run
+from bench.run_folder import BENCH, IMPORTED, Run, all_runs, checked_name, find_run
+from bench.states import ENDED, State
 from bench.terminal import duration
 from drivers.clock import utc_now
 
@@ -32,8 +34,7 @@ def runs(folder: Path, target: str | None) -> int:
     table = Table(box=None, pad_edge=False)
     for heading in ("run", "begun", "instruments", "state", "readings", "to go on"):
         table.add_column(heading, justify="right" if heading == "readings" else "left")
-    for run in found:
-        s = _summary(run)
+    for s in map(_summary, found):
         table.add_row(
             str(s["name"]),
             str(s["created"])[:19].replace("T", " "),
@@ -47,25 +48,46 @@ def runs(folder: Path, target: str | None) -> int:
 
 
 def _summary(run: Run) -> dict[str, object]:
-    state = "imported" if "imported" in run.manifest else run.history.state
-    state = (
-        "damaged"
-        if run.history.problems
-        else {"running": "unfinished", "empty": "not begun"}.get(state, state)
-    )
-    open_states = {"unfinished", "not begun", "failed", "interrupted"}
+    """Return a row of the list; a run that cannot be read is one as well, with the reason."""
+    try:
+        state, to_go_on = _told_state(run)
+        count = _count(run)
+    except (RecordError, ValueError, TypeError, KeyError) as reason:
+        return {
+            "name": run.name,
+            "created": "",
+            "instruments": "-",
+            "state": f"damaged: {reason}",
+            "readings": 0,
+            "to_go_on": "",
+        }
     return {
         "name": run.name,
-        "created": run.manifest.get("created", ""),
+        "created": run.created,
         "instruments": "simulated" if run.simulated else ("-" if state == "imported" else "real"),
         "state": state,
-        "readings": _count(run),
-        "to_go_on": f"bench resume {run.name}" if state in open_states else "",
+        "readings": count,
+        "to_go_on": to_go_on,
     }
 
 
+def _told_state(run: Run) -> tuple[str, str]:
+    """Return the state of a run as it is told, and the command that goes on with it."""
+    if run.history.problems:
+        return "damaged", f"bench show {run.name} --verify"
+    if run.imported:
+        return "imported", ""
+    state = run.history.state
+    if state in ENDED:
+        return state.value, ""
+    if is_being_written(run.folder):
+        return state.value, ""
+    alive = {State.READY: "not begun", State.RUNNING: "unfinished", State.PAUSED: "unfinished"}
+    return alive.get(state, state.value), f"bench resume {run.name}"
+
+
 def _count(run: Run) -> int:
-    if "imported" in run.manifest:
+    if run.imported:
         return int(run.manifest["readings"])
     return len({e.data["step"] for e in run.history.events if e.type == "step_done" and "reading" in e.data})
 
@@ -102,7 +124,7 @@ def _told(value: object) -> str:
 
 def _show_events(run: Run) -> None:
     out = printing.console()
-    if "imported" in run.manifest:
+    if run.imported:
         return
     steps = run.plan.steps
     for event in run.history.events:
@@ -138,7 +160,7 @@ def import_file(file: Path, name: str | None, bench: str | None, folder: Path) -
     """Carry out `bench import`: the file is checked, then kept in a run folder as it came."""
     path = bench_path(bench)
     readings = read_csv(file, load_bench(path).installation_models())
-    run = Run(folder / (name or file.stem))
+    run = Run(folder / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
     manifest = {
         "name": run.name,
         "created": utc_now().isoformat(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from bench.run_folder import BENCH, IMPORTED, Run, find_run
 from bench.shipped import find_bench
 
 DEFAULT_BENCH = "paper-stand"
+LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ class Source:
     request: Request
 
     @property
+    def simulated(self) -> bool:
+        """Whether the readings come from simulated instruments (a readings file does not say)."""
+        return self.run is not None and self.run.simulated
+
+    @property
     def stand_u(self) -> dict[str, float]:
         """Standard uncertainties of the stand's errors by name, rad (V for the voltmeter's)."""
         return {name: d.u for name, d in self.bench.stand_distributions().items()}
@@ -58,29 +64,41 @@ class Source:
 
         In the run's folder, in `--out`, or in a folder named after the command beside the readings file.
         """
+        out = self.request.out
         if self.run is not None:
-            return (self.request.out or self.run.folder) / f"{command}{suffix}"
+            return (
+                out / f"{self.run.name}-{command}{suffix}" if out else self.run.folder / f"{command}{suffix}"
+            )
         file = Path(self.name)
-        return (self.request.out or file.parent / command) / f"{file.stem}{suffix}"
+        return (out or file.parent / command) / f"{file.stem}{suffix}"
 
 
 def load_sources(request: Request) -> list[Source]:
     """Read all sources. Raises the first mistake found, as the readers do."""
-    return [_load(name, request) for name in request.sources]
+    if request.g_m_s2 is not None and not LEAST_GRAVITY <= request.g_m_s2 <= MOST_GRAVITY:
+        raise CommandError(f"--g {request.g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")
+    sources = [_load(name, request) for name in request.sources]
+    places = [source.output("", "") for source in sources]
+    for place in places:
+        if places.count(place) > 1:
+            raise CommandError(f"--out: two sources would write {place}*; give each a folder of its own")
+    return sources
 
 
 def bench_path(given: str | None) -> Path:
-    """Return the bench file asked for, or the shipped one that stands in for it."""
-    return find_bench(given or DEFAULT_BENCH)
+    """Return the bench file asked for (in BENCH_FILE, if not said), or the shipped one that stands in for it."""
+    return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
 
 
 def _load(name: str, request: Request) -> Source:
     run = _run_of(name, request.runs)
-    if run is not None and request.bench is None:
-        path = run.folder / BENCH
+    notes: tuple[str, ...] = ()
+    if run is not None:
         run.trusted_history()
-    else:
-        path = bench_path(request.bench)
+    recorded = run is not None and request.bench is None
+    path = run.folder / BENCH if run is not None and recorded else bench_path(request.bench)
+    if run is not None and request.bench is not None:
+        notes = (f"evaluated with {path} in place of the bench file that the run recorded",)
     bench = load_bench(path)
     installations = bench.installation_models()
     if run is None:
@@ -89,7 +107,8 @@ def _load(name: str, request: Request) -> Source:
         readings = read_csv(run.folder / IMPORTED, installations, skip_bad_rows=request.skip_bad_rows)
     else:
         readings = run.readings()
-    gravity = request.g_m_s2 or bench.gravity_m_s2
+    readings = replace(readings, notes=(*notes, *readings.notes))
+    gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
     if gravity is None:
         raise CommandError(f"{path}: gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)")
     model = ForwardModel(installations)
@@ -109,22 +128,44 @@ def _run_of(name: str, runs: Path) -> Run | None:
     return find_run(name, runs)
 
 
+def check_target(target: str | None) -> None:
+    """Refuse a `--json` file that cannot be written before anything is computed. Raises `CommandError`."""
+    if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
+        raise CommandError(f"--json {target}: there is no such folder")
+
+
+def to_text(result: Any) -> str:
+    """Return a result as JSON text."""
+    return json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
 def write_json(results: list[dict[str, Any]], target: str | None) -> None:
     """Write one result, or a list of several in the order of the sources, to a file or standard output."""
     if target is None:
         return
-    text = json.dumps(results[0] if len(results) == 1 else results, indent=1, ensure_ascii=False) + "\n"
+    text = to_text(results[0] if len(results) == 1 else results)
     if target == "-":
         sys.stdout.write(text)
     else:
-        Path(target).write_text(text, encoding="utf-8")
+        write_whole(Path(target), text)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file so that it is there whole or not at all. Raises `OSError`."""
+    half = path.with_name(path.name + ".part")
+    try:
+        half.write_text(text, encoding="utf-8", newline="")
+        half.replace(path)
+    except OSError:
+        half.unlink(missing_ok=True)
+        raise
 
 
 def write_beside(path: Path, text: str, *, asked: bool) -> bool:
     """Write a derived file; say so and go on where the place is not writable, unless it was asked for."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         if asked:
             raise

@@ -1,0 +1,54 @@
+"""Coefficients of another day: the result of `bench calibrate --json`, read back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.commands import CommandError
+from bench.model.block import COEFFICIENTS, Block
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """A block with its covariance (12, 12), the noise of a reading, the gravity that is its unit (m/s²)."""
+
+    block: Block
+    covariance: Floats
+    noise: float
+    g_m_s2: float
+    unit: str
+
+
+def read_coefficients(path: Path, unit: str) -> Coefficients:
+    """Read a result of `calibrate --json`.
+
+    Raises `CommandError` when the file is not one, holds what is no number, or has another unit than the
+    readings.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        values = np.array([data["coefficients"][name]["value"] for name in COEFFICIENTS], dtype=np.float64)
+        by_name = {name: i for i, name in enumerate(data["order"])}
+        order = [by_name[name] for name in COEFFICIENTS]
+        covariance = np.array(data["covariance"], dtype=np.float64)[np.ix_(order, order)]
+        noise, g_m_s2 = float(data["noise"]["reading_v"]), float(data["g_m_s2"])
+        theirs = str(data["unit"])
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise CommandError(
+            f"{path}: not a result of 'bench calibrate --json' ({type(error).__name__}: {error})"
+        ) from error
+    if theirs != unit:
+        raise CommandError(f"{path}: coefficients in {theirs}/g, but the readings are in {unit}")
+    numbers = [*values, *covariance.ravel(), noise, g_m_s2]
+    if not np.all(np.isfinite(numbers)) or np.any(np.diag(covariance) < 0) or noise < 0 or g_m_s2 <= 0:
+        raise CommandError(f"{path}: holds what is no number, or a negative variance; calibrate again")
+    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs)

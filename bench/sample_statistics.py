@@ -1,0 +1,111 @@
+"""What the samples of one reading tell of it: scatter, drift, an outlier. All recorded, nothing applied.
+
+Sources: drift is the slope of a straight line by least squares with Student's t test (NIST/SEMATECH
+e-Handbook of Statistical Methods, 4.4.3 and 1.3.5); an outlier is looked for with Grubbs' two-sided test
+(F. E. Grubbs, Technometrics 11 (1969) 1-21; e-Handbook 1.3.5.17.1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr, stdtrit
+
+Floats = NDArray[np.float64]
+
+OUTLIER_LEVEL: Final = 0.01
+"""Probability with which normal samples without an outlier are said to have one."""
+
+_ROUNDING: Final = 1e-13
+"""Relative size below which a scatter is the rounding of the computation."""
+
+
+@lru_cache(maxsize=256)
+def grubbs_critical(n: int, level: float = OUTLIER_LEVEL) -> float:
+    """Return the critical value of Grubbs' two-sided test for n samples, in standard deviations.
+
+    Raises `ValueError` for fewer than 3 samples, which cannot have an outlier.
+    """
+    if n < 3:
+        raise ValueError(f"Grubbs' test needs 3 samples or more, not {n}")
+    t2 = float(stdtrit(n - 2, level / (2 * n))) ** 2
+    return (n - 1) / math.sqrt(n) * math.sqrt(t2 / (n - 2 + t2))
+
+
+def describe(
+    samples: Mapping[str, Sequence[float]], interval_s: float | None = None, resolution: float = 0.0
+) -> dict[str, dict[str, Any]]:
+    """Describe the samples of each channel; JSON-ready, None where a number does not exist.
+
+    For each channel: `n`; `mean`; `sd` (None for one sample); `drift`, the change from the first to the last
+    sample by the fitted line, and `drift_u`, its standard uncertainty, and `drift_p`, the probability of
+    as large a drift in samples that only scatter (all None below 3 samples); `drift_per_s` where
+    `interval_s`, the time from sample to sample, is given; `outlier`, None or `{"sample", "value", "sigma",
+    "critical"}`: the sample (from 1) that Grubbs' test at 1 % calls an outlier. All in the unit of the samples.
+    A sample no further than `resolution`, the last digit of the meter, from the median is none.
+    Raises `ValueError` for a channel without samples or with one that is not a finite number.
+    """
+    return {channel: _channel(channel, values, interval_s, resolution) for channel, values in samples.items()}
+
+
+def _channel(
+    channel: str, values: Sequence[float], interval_s: float | None, resolution: float
+) -> dict[str, Any]:
+    x = np.asarray(values, dtype=np.float64)
+    n = len(x)
+    mean = float(x.sum()) / n if n else math.nan
+    if not math.isfinite(mean):
+        raise ValueError(f"channel {channel}: a reading is one or more finite numbers, not {list(values)!r}")
+    deviation = x - mean
+    squares = float(deviation @ deviation)
+    if squares <= n * (_ROUNDING * mean) ** 2:
+        squares = 0.0  # equal samples: their mean is off by rounding
+    sd = math.sqrt(squares / (n - 1)) if n > 1 else None
+    drift, drift_u, drift_p = _drift(deviation, squares) if n > 2 else (None, None, None)
+    described: dict[str, Any] = {
+        "n": n,
+        "mean": mean,
+        "sd": sd,
+        "drift": drift,
+        "drift_u": drift_u,
+        "drift_p": drift_p,
+        "outlier": _outlier(x, deviation, sd, resolution) if sd and n > 2 else None,
+    }
+    if interval_s is not None:
+        described["drift_per_s"] = None if drift is None else drift / ((n - 1) * interval_s)
+    return described
+
+
+def _drift(deviation: Floats, squares: float) -> tuple[float, float, float]:
+    """Return the change over the reading, its standard uncertainty, and the p of the t test."""
+    n = len(deviation)
+    if squares == 0.0:
+        return 0.0, 0.0, 1.0
+    time, time_squares = _sample_times(n)
+    drift = float(time @ deviation) / time_squares
+    left = squares - drift**2 * time_squares
+    if left <= _ROUNDING * squares:
+        return drift, 0.0, 0.0  # samples exactly on a line
+    u = math.sqrt(left / (n - 2) / time_squares)
+    return drift, u, 2.0 * float(stdtr(n - 2, -abs(drift) / u))
+
+
+@lru_cache(maxsize=64)
+def _sample_times(n: int) -> tuple[Floats, float]:
+    """Times of n samples about their middle, the whole reading being 1, and the sum of their squares."""
+    time = np.arange(n) / (n - 1) - 0.5
+    return time, float(time @ time)
+
+
+def _outlier(x: Floats, deviation: Floats, sd: float, resolution: float) -> dict[str, Any] | None:
+    worst = int(np.abs(deviation).argmax())
+    sigma = abs(float(deviation[worst])) / sd
+    critical = grubbs_critical(len(x))
+    if sigma <= critical or abs(float(x[worst]) - float(np.median(x))) <= resolution * (1 + 1e-6):
+        return None
+    return {"sample": worst + 1, "value": float(x[worst]), "sigma": sigma, "critical": critical}

@@ -1,0 +1,229 @@
+"""Settled means settled: a quantity has come to rest when a whole window of samples says so.
+
+Settled is: every sample of the last `window_s`, and one sample at least that old, lie within `precision` of
+each other (peak to peak, each signal for itself), and within `precision` of the target where one is given.
+A step anywhere in the window therefore starts it anew. The rule is that of NICOS's `HasWindowTimeout`, with
+the peak-to-peak span in place of a target that the signals of a block do not have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.clock import Clock
+from drivers.interfaces import BenchError
+
+LEAST_SAMPLES: Final = 6
+"""Samples that a window holds before an approach is estimated from it."""
+
+SLOWING: Final = 0.9
+"""The later half of a window moves less than this part of the earlier one, or no end can be told."""
+
+_TIMING_S: Final = 1e-6
+"""Sums of intervals miss a window's length by rounding; this much of it is forgiven."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a quantity counts as settled; `precision` and `target` in the unit of the samples.
+
+    Raises `ValueError` for lengths that are not positive, a timeout shorter than the window, or samples
+    that come too rarely for the window to hold two.
+    """
+
+    precision: float
+    window_s: float
+    timeout_s: float
+    interval_s: float
+    target: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the lengths against each other."""
+        for name in ("precision", "window_s", "timeout_s", "interval_s"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"settling: {name} is {value:g}; give a positive number")
+        if self.timeout_s < self.window_s:
+            raise ValueError(
+                f"settling: the timeout of {self.timeout_s:g} s is shorter than the window of "
+                f"{self.window_s:g} s; nothing could settle in it"
+            )
+        if self.interval_s > self.window_s:
+            raise ValueError(
+                f"settling: samples every {self.interval_s:g} s leave a window of {self.window_s:g} s empty; "
+                "sample more often or lengthen the window"
+            )
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How far the settling is, after a sample.
+
+    `elapsed_s` counts from the first sample. `spread` is the peak-to-peak span of each signal over the
+    window, `off_target` how far the worst sample of the window is from the target (0 without one).
+    `left_s` estimates the time until settled; None while nothing can be told of it.
+    """
+
+    settled: bool
+    elapsed_s: float
+    samples: int
+    values: tuple[float, ...]
+    spread: tuple[float, ...]
+    off_target: float
+    left_s: float | None
+
+
+class NotSettled(BenchError):
+    """The timeout passed and the quantity still moved; `state` tells by how much."""
+
+    def __init__(self, instrument: str, cause: str, remedy: str, state: Settling) -> None:
+        super().__init__(instrument, cause, remedy)
+        self.state = state
+
+
+class Window:
+    """The samples of the last window; knows no clock."""
+
+    def __init__(self, criterion: Criterion) -> None:
+        self.criterion = criterion
+        self._samples: deque[tuple[float, tuple[float, ...]]] = deque()
+        self._first_s: float | None = None
+        self._taken = 0
+
+    def add(self, time_s: float, values: Sequence[float]) -> Settling:
+        """Take a sample of all signals at once; return how far the settling is.
+
+        Raises `ValueError` when time runs backwards, or the number of signals changes or is zero.
+        """
+        taken = tuple(float(value) for value in values)
+        if not taken:
+            raise ValueError("settling: a sample without a signal")
+        if self._samples:
+            last_s, last = self._samples[-1]
+            if time_s < last_s:
+                raise ValueError(f"settling: a sample at {time_s:g} s follows one at {last_s:g} s")
+            if len(last) != len(taken):
+                raise ValueError(f"settling: {len(taken)} signals follow {len(last)}")
+        if self._first_s is None:
+            self._first_s = time_s
+        self._samples.append((time_s, taken))
+        self._taken += 1
+        self._forget(time_s)
+        return self._state(time_s - self._first_s)
+
+    def _forget(self, now_s: float) -> None:
+        """Keep the window and the one sample that is at least as old as it."""
+        while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
+            self._samples.popleft()
+
+    def _is_old(self, time_s: float, now_s: float) -> bool:
+        return now_s - time_s >= self.criterion.window_s - _TIMING_S
+
+    def _state(self, elapsed_s: float) -> Settling:
+        now_s, values = self._samples[-1]
+        signals = list(zip(*(sample for _, sample in self._samples), strict=True))
+        spread = tuple(max(signal) - min(signal) for signal in signals)
+        off = self._off_target(signals)
+        still = all(span <= self.criterion.precision for span in spread) and off <= self.criterion.precision
+        settled = still and self._is_old(self._samples[0][0], now_s)
+        left_s = 0.0 if settled else self._left_s(signals, spread)
+        return Settling(settled, elapsed_s, self._taken, values, spread, off, left_s)
+
+    def _off_target(self, signals: Sequence[Sequence[float]]) -> float:
+        target = self.criterion.target
+        return 0.0 if target is None else max(abs(value - target) for signal in signals for value in signal)
+
+    def _left_s(self, signals: Sequence[Sequence[float]], spread: Sequence[float]) -> float | None:
+        """Return the longest of the signals' own estimates, None when one of them cannot tell."""
+        times = [time_s for time_s, _ in self._samples]
+        estimates = [self._signal_left_s(times, *one) for one in zip(signals, spread, strict=True)]
+        known = [estimate for estimate in estimates if estimate is not None]
+        return max(known) if len(known) == len(estimates) else None
+
+    def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
+        """Estimate one signal's time left from the window alone.
+
+        Nothing outside precision: the window has to fill. Else an approach whose span shrinks by the same
+        factor from half to half of the window: with the time constant τ its span comes down to the precision
+        after τ ln(span/precision), but not before what is outside precision has left the window.
+        """
+        precision, target, now_s = self.criterion.precision, self.criterion.target, times[-1]
+        off = 0.0 if target is None else abs(signal[-1] - target)
+        moving = [t for t, v in zip(times, signal, strict=True) if abs(v - signal[-1]) > precision]
+        fill_s = max(0.0, self.criterion.window_s - (now_s - (moving[-1] if moving else times[0])))
+        if spread <= precision and off <= precision:
+            return fill_s
+        middle_s = (times[0] + now_s) / 2
+        early = [v for t, v in zip(times, signal, strict=True) if t <= middle_s]
+        late = [v for t, v in zip(times, signal, strict=True) if t >= middle_s]
+        early_span, late_span = max(early) - min(early), max(late) - min(late)
+        if len(times) < LEAST_SAMPLES or late_span >= SLOWING * early_span:
+            return None
+        if late_span == 0.0:
+            return fill_s if off <= precision else None
+        tau_s = (now_s - times[0]) / 2 / math.log(early_span / late_span)
+        still_s = tau_s * math.log(max(spread / precision, 1.0))
+        arrive_s = tau_s * math.log(off / precision) + self.criterion.window_s if off > precision else 0.0
+        return max(fill_s, still_s, arrive_s)
+
+
+def _silent(_: Settling) -> None:
+    """Show no progress."""
+
+
+def wait_until_settled(
+    sample: Callable[[], Sequence[float]],
+    criterion: Criterion,
+    clock: Clock,
+    on_progress: Callable[[Settling], None] = _silent,
+    *,
+    place: str = "block",
+    names: Sequence[str] = ("x", "y", "z"),
+    unit: str = "V",
+) -> Settling:
+    """Sample until settled; return the last state, whose `elapsed_s` is the time it took.
+
+    `sample` returns the signals (volts, or a temperature in °C alone) and may take its time; it is called
+    every `interval_s` from the start of one call to that of the next. `on_progress` hears of every sample;
+    `place`, `names` and `unit` are for the sentence of the error. Raises `NotSettled` when a sample taken at
+    or after `timeout_s` is not settled yet, and whatever `sample` raises.
+    """
+    window = Window(criterion)
+    begun_s = clock.now_s()
+    while True:
+        called_s = clock.now_s()
+        values = sample()
+        state = window.add(clock.now_s(), values)
+        on_progress(state)
+        if state.settled:
+            return state
+        if clock.now_s() - begun_s >= criterion.timeout_s - _TIMING_S:
+            raise _not_settled(criterion, state, place, names, unit)
+        clock.sleep(max(0.0, called_s + criterion.interval_s - clock.now_s()))
+
+
+def _not_settled(
+    criterion: Criterion, state: Settling, place: str, names: Sequence[str], unit: str
+) -> NotSettled:
+    labels = list(names) if len(names) == len(state.spread) else [""] * len(state.spread)
+    moving = [
+        f"{label} {span:.3g} {unit}".strip()
+        for label, span in zip(labels, state.spread, strict=True)
+        if span > criterion.precision
+    ]
+    parts = [f"still moved by {', '.join(moving)} in {criterion.window_s:g} s"] if moving else []
+    if state.off_target > criterion.precision:
+        parts.append(
+            f"was up to {state.off_target:.3g} {unit} from its target of {criterion.target:g} {unit}"
+        )
+    what = " and ".join(parts) or "was sampled too rarely to fill the window"
+    cause = (
+        f"not settled after {criterion.timeout_s:g} s: it {what}, where {criterion.precision:.3g} {unit} "
+        "is allowed"
+    )
+    remedy = "look for what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
+    return NotSettled(place, cause, remedy, state)

@@ -1,0 +1,90 @@
+"""What a run may be doing, what may be asked of it, and what leads where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Final
+
+
+class State(StrEnum):
+    """What a run is doing."""
+
+    READY = "ready"
+    RUNNING = "running"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+    ABORTED = "aborted"
+
+
+TRANSITIONS: Final[Mapping[State, Mapping[str, State]]] = {
+    State.READY: {
+        "run_started": State.RUNNING,
+        "run_resumed": State.RUNNING,
+        "run_failed": State.FAILED,
+        "run_interrupted": State.INTERRUPTED,
+        "run_aborted": State.ABORTED,
+    },
+    State.RUNNING: {
+        "run_paused": State.PAUSED,
+        "run_finished": State.FINISHED,
+        "run_failed": State.FAILED,
+        "run_interrupted": State.INTERRUPTED,
+        "run_aborted": State.ABORTED,
+    },
+    State.PAUSED: {
+        "run_continued": State.RUNNING,
+        "run_failed": State.FAILED,
+        "run_interrupted": State.INTERRUPTED,
+        "run_aborted": State.ABORTED,
+    },
+    State.FAILED: {"run_resumed": State.RUNNING, "run_aborted": State.ABORTED},
+    State.INTERRUPTED: {"run_resumed": State.RUNNING, "run_aborted": State.ABORTED},
+    State.FINISHED: {},
+    State.ABORTED: {},
+}
+"""Which event leads from which state to which: there is no other way.
+
+A program that takes a run up again begins at READY; what the run was before stands in its record.
+"""
+
+ENDED: Final = frozenset({State.FINISHED, State.ABORTED})
+"""States in which nothing more happens to a run."""
+
+
+class Wish(StrEnum):
+    """What a person may ask of a run that goes on."""
+
+    PAUSE = "pause"
+    CONTINUE = "continue"
+    REPEAT_POINT = "redo"
+    REPEAT_PASS = "redo-pass"
+    SKIP = "skip"
+    ABORT = "abort"
+
+
+HEARD: Final[Mapping[State, frozenset[Wish]]] = {
+    State.RUNNING: frozenset({Wish.PAUSE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
+    State.PAUSED: frozenset({Wish.CONTINUE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
+}
+"""Which wishes are heard in which state."""
+
+
+def state_after(events: list[str]) -> State:
+    """Return the state that a run's events lead to; events that change no state are passed over.
+
+    Raises `ValueError` for a sequence that the table does not allow.
+    """
+    state = State.READY
+    changing = {event for row in TRANSITIONS.values() for event in row}
+    for event in events:
+        if event not in changing:
+            continue
+        if event == "run_resumed" and state in {State.RUNNING, State.PAUSED}:
+            continue  # the program died without a word, and another took the run up
+        if event not in TRANSITIONS[state]:
+            raise ValueError(f"{event} cannot follow on {state}")
+        state = TRANSITIONS[state][event]
+    return state

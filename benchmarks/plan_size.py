@@ -1,0 +1,82 @@
+"""What a plan of 100,000 steps costs: CPU time and memory to expand, hash, list and check it.
+
+Each in a process of its own, with the bare import of the program beside it:
+
+    python benchmarks/plan_size.py
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+STEPS = 100_000
+LIMIT_S, LIMIT_MB = 2.0, 200.0
+
+PROCEDURE = """\
+procedure: long
+on_failure: {repeat: 2, then: continue}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - temperatures:
+            at: [23 degC, 50 degC, -20 degC]
+            settle: {precision: 0.1 K, window: 30 min, timeout: 6 h}
+            steps:
+              - repeat:
+                  times: %d
+                  steps:
+                    - input: {source: short}
+                    - turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}
+"""
+STEPS_OF_A_PASS = 4 + 9 * 3
+REPEATS = STEPS // 3 // STEPS_OF_A_PASS
+
+
+def measure(with_plan: bool) -> None:
+    from bench.bench_file import load_bench
+    from bench.plan_check import check, disk_needed_bytes, operator_actions
+    from bench.plan_listing import listing
+    from bench.procedure import load_procedure
+    from bench.shipped import find_bench
+
+    bench = load_bench(find_bench("paper-stand"))
+    begun = time.process_time()
+    if with_plan:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "long.yaml"
+            file.write_text(PROCEDURE % REPEATS, encoding="utf-8")
+            plan = load_procedure(file).expand()
+        lap("expanded", begun, f"{len(plan.steps)} steps")
+        lap("hashed", begun, plan.hash[:12])
+        check(plan, bench)
+        disk_needed_bytes(plan)
+        operator_actions(plan, bench)
+        plan.duration_by_kind_s()
+        lap("checked", begun, f"the limit is {LIMIT_S:g} s and {LIMIT_MB:g} MB")
+        lines = sum(1 for _ in listing(plan))
+        lap("listed", begun, f"{lines} lines")
+    else:
+        lap("imported", begun, "nothing expanded")
+
+
+def lap(what: str, begun: float, note: str) -> None:
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{what:10} {time.process_time() - begun:8.2f} {peak_mb:10.0f}   {note}", flush=True)
+
+
+def main() -> None:
+    print(f"{'':10} {'CPU / s':>8} {'peak / MB':>10}")
+    context = multiprocessing.get_context("spawn")
+    for with_plan in (False, True):
+        process = context.Process(target=measure, args=(with_plan,))
+        process.start()
+        process.join()
+
+
+if __name__ == "__main__":
+    main()

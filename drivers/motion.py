@@ -1,0 +1,206 @@
+"""What motorised heads share: limits, the approach from the demanded side, in position by a window.
+
+A head is in position when every sample of its scale over a whole window lay within the tolerance while
+nothing moved; a controller's own "done" alone is not believed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+from drivers.angles import format_dms
+from drivers.interfaces import Direction, HeadPosition, InstrumentRefused, LimitExceeded
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+
+_ROUNDING_RAD: Final = 1e-9
+"""Keeps an angle exactly at a limit from being refused for the last bit of a float."""
+_PATIENCE: Final = 2.0
+_PATIENCE_S: Final = 10.0
+
+
+class Axis(Protocol):
+    """What a controller must do for its head; all angles are of the head's scale, rad."""
+
+    def prepare(self) -> None:
+        """Make the axis ready to move: powered, homed, in its positioning mode."""
+        ...
+
+    def position_rad(self) -> float:
+        """Return the angle read back."""
+        ...
+
+    def start(self, target_rad: float) -> None:
+        """Begin to move to an angle."""
+        ...
+
+    def moving(self) -> bool:
+        """Whether the axis moves. Raises `InstrumentRefused` for what keeps it from arriving."""
+        ...
+
+    def stop(self) -> None:
+        """Stop the motion where it is."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """How a head may move and when it has arrived.
+
+    It stays within [`minimum_rad`, `maximum_rad`], also on the way. It arrives from at least `backoff_rad`
+    away on the demanded side. It is in position when for `settle_s` every sample, one each `poll_s`, lies
+    within `tolerance_rad`. `speed_rad_s` is its speed: a movement may take twice the time that it needs
+    for the way, and 10 s. Raises `ValueError` for what cannot be.
+    """
+
+    minimum_rad: float
+    maximum_rad: float
+    tolerance_rad: float
+    speed_rad_s: float
+    backoff_rad: float = math.radians(1.0)
+    settle_s: float = 2.0
+    poll_s: float = 0.25
+
+    def __post_init__(self) -> None:
+        """Refuse limits in the wrong order and sizes that are not positive."""
+        if not self.minimum_rad < self.maximum_rad:
+            raise ValueError(
+                f"the lowest angle {format_dms(self.minimum_rad)} of the head is not below the highest "
+                f"{format_dms(self.maximum_rad)}"
+            )
+        for name in ("tolerance_rad", "speed_rad_s", "poll_s"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} of the head must be positive, not {getattr(self, name):g}")
+        if not self.backoff_rad > self.tolerance_rad:
+            raise ValueError("the head must back off by more than its tolerance")
+
+    def contains(self, angle_rad: float, margin_rad: float = _ROUNDING_RAD) -> bool:
+        """Whether an angle lies within the limits, or no more than `margin_rad` outside."""
+        return self.minimum_rad - margin_rad <= angle_rad <= self.maximum_rad + margin_rad
+
+    @property
+    def text(self) -> str:
+        """The limits as a person reads them."""
+        return f"{format_dms(self.minimum_rad)} to {format_dms(self.maximum_rad)}"
+
+    def time_limit_s(self, way_rad: float) -> float:
+        """Return how long a movement may take, s."""
+        return _PATIENCE * abs(way_rad) / self.speed_rad_s + self.settle_s + _PATIENCE_S
+
+
+class Mover:
+    """Moves one axis as a `Travel` allows."""
+
+    def __init__(self, name: str, axis: Axis, travel: Travel, clock: Clock) -> None:
+        self._name = name
+        self._axis = axis
+        self._travel = travel
+        self._clock = clock
+
+    def check(self, target_rad: float, direction: Direction) -> None:
+        """Raise `LimitExceeded` for a target, or the way to it, outside the limits; nothing is sent.
+
+        The head always comes from at least `backoff_rad` away, so that place must be within them, too.
+        """
+        if not math.isfinite(target_rad) or not self._travel.contains(target_rad):
+            shown = format_dms(target_rad) if math.isfinite(target_rad) else f"{target_rad}"
+            raise LimitExceeded(
+                self._name,
+                f"{shown} is outside its limits, {self._travel.text}",
+                "change the angle in the procedure or the limits in the bench file",
+            )
+        from_rad = self._backed_off(target_rad, direction)
+        if not self._travel.contains(from_rad):
+            side = "below" if direction > 0 else "above"
+            raise LimitExceeded(
+                self._name,
+                f"to come to {format_dms(target_rad)} from {side} it must start at {format_dms(from_rad)}, "
+                f"outside its limits, {self._travel.text}",
+                "change the direction of approach in the procedure or the limits in the bench file",
+            )
+
+    def move(self, target_rad: float, direction: Direction) -> HeadPosition:
+        """Bring the head to `target_rad` from the demanded side; return the angle read back.
+
+        Whatever goes wrong, Ctrl-C included, the motion is stopped. Raises `LimitExceeded`,
+        `InstrumentRefused` when it does not arrive, and what the axis raises.
+        """
+        self.check(target_rad, direction)
+        try:
+            self._axis.prepare()
+            start_rad = self._axis.position_rad()
+            self._refuse_outside(start_rad)
+            from_rad = self._backed_off(target_rad, direction)
+            if direction * (from_rad - start_rad) < -self._travel.tolerance_rad:
+                start_rad = self._go(start_rad, from_rad, settle_s=0.0)
+            return HeadPosition(self._go(start_rad, target_rad, self._travel.settle_s), direction)
+        except BaseException:
+            with contextlib.suppress(Exception):
+                self._axis.stop()
+            raise
+
+    def wait_while(self, busy: Callable[[], bool], limit_s: float) -> None:
+        """Wait until the axis is no longer busy. Raises `InstrumentRefused` after `limit_s`."""
+        deadline_s = self._clock.now_s() + limit_s
+        while busy():
+            if self._clock.now_s() > deadline_s:
+                raise InstrumentRefused(
+                    self._name,
+                    f"it still moves after {limit_s:.0f} s",
+                    "check the head and its speed in the bench file, then take this step again",
+                )
+            self._clock.sleep(self._travel.poll_s)
+
+    def _backed_off(self, target_rad: float, direction: Direction) -> float:
+        return target_rad - direction * self._travel.backoff_rad
+
+    def _refuse_outside(self, angle_rad: float) -> None:
+        if not self._travel.contains(angle_rad, self._travel.tolerance_rad):
+            raise LimitExceeded(
+                self._name,
+                f"it stands at {format_dms(angle_rad)}, outside its limits, {self._travel.text}",
+                "bring it back within them by hand, minding the cables",
+            )
+
+    def _go(self, start_rad: float, target_rad: float, settle_s: float) -> float:
+        """Move, wait for the window, return the last angle read. Raises `InstrumentRefused` when too late."""
+        limit_s = self._travel.time_limit_s(target_rad - start_rad)
+        begun_s = self._clock.now_s()
+        self._axis.start(target_rad)
+        inside_since_s: float | None = None
+        while True:
+            moving = self._axis.moving()
+            angle_rad = self._axis.position_rad()
+            now_s = self._clock.now_s()
+            if moving or abs(angle_rad - target_rad) > self._travel.tolerance_rad:
+                inside_since_s = None
+            else:
+                inside_since_s = now_s if inside_since_s is None else inside_since_s
+                if now_s - inside_since_s >= settle_s:
+                    return angle_rad
+            if now_s - begun_s > limit_s:
+                raise self._not_arrived(target_rad, angle_rad, moving, limit_s)
+            self._clock.sleep(self._travel.poll_s)
+
+    def _not_arrived(
+        self, target_rad: float, angle_rad: float, moving: bool, limit_s: float
+    ) -> InstrumentRefused:
+        target = format_dms(target_rad)
+        if moving:
+            cause = f"it still moved after {limit_s:.0f} s, at {format_dms(angle_rad)}, sent to {target}"
+        else:
+            side = "above" if angle_rad > target_rad else "below"
+            cause = (
+                f"it did not come to rest within {format_dms(self._travel.tolerance_rad, 1)} of {target} in "
+                f"{limit_s:.0f} s, it is {format_dms(abs(angle_rad - target_rad), 1)} {side} it"
+            )
+        return InstrumentRefused(
+            self._name,
+            cause,
+            "check that nothing blocks the head, its load, its scale and its speed, then take this step again",
+        )

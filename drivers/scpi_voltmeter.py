@@ -1,0 +1,359 @@
+"""What the SCPI voltmeters have in common: identify, set and prove, start, fetch into strict readings.
+
+A driver of a model says which identities it takes, which settings it sends and how they read back; all
+that concerns the wire, the error queue, a lost connection or a lost power supply stands here once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+from drivers.interfaces import (
+    BadReading,
+    Channel,
+    Identity,
+    InstrumentLost,
+    InstrumentRefused,
+    LimitExceeded,
+    VoltmeterSettings,
+)
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.visa import MessageSession
+
+Interface = Literal["lan", "gpib", "rs232"]
+
+OVERLOAD_V: Final = 9.9e37
+
+_READING: Final = r"[+-]\d\.\d{8}E[+-]\d\d"
+READING_CHARACTERS: Final = 16
+"""The 15 of a reading and its separator."""
+
+_NUMBER: Final = r"[+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?"
+_ERROR: Final = r'([+-]?\d+),"([^"]*)"'
+IDENTITY: Final = r"([^,]+),([^,]+),([^,]*),([^,]*)"
+_MAKER: Final = r"HEWLETT-PACKARD|HP|Agilent( Technologies)?|Keysight( Technologies)?"
+_ERROR_QUEUE: Final = 20
+_NONE: Final = -1
+"""The number of no connection."""
+
+# bits of the standard event register, *ESR?
+_POWER_ON: Final = 128
+_ERRORS: Final = 4 | 8 | 16 | 32  # query, device, execution, command
+
+_PATIENCE: Final = 1.5
+_SELF_TEST_S: Final = 30.0
+"""The longest self-test of these meters takes some 15 s."""
+_STAYS_REMOTE_S: Final = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A command (None: it was set by one before), the question that proves it, and what is to come back.
+
+    Several values are those of several channels, answered with commas between them.
+    """
+
+    command: str | None
+    question: str
+    wanted: str | float | tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a model can do: ranges in volts, integration in power-line cycles, samples in one reading."""
+
+    ranges_v: tuple[float, ...]
+    nplc: tuple[float, ...]
+    most_samples: int
+
+    def transgressions(self, settings: VoltmeterSettings) -> list[str]:
+        """Return what of the settings the model cannot do, one phrase for each."""
+        wrong = []
+        if settings.range_v not in self.ranges_v:
+            wrong.append(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)")
+        if settings.nplc not in self.nplc:
+            wrong.append(f"an integration of {settings.nplc:g} NPLC (it has {_listed(self.nplc)})")
+        if not 1 <= settings.samples <= self.most_samples:
+            wrong.append(f"{settings.samples} samples (its memory holds 1 to {self.most_samples})")
+        return wrong
+
+
+class ScpiVoltmeter(ABC):
+    """The base of the SCPI voltmeters, a `Voltmeter` in all but the model's own commands.
+
+    `interface` is what the meter is set to, whatever carries it: over RS-232 it must first be told to be
+    remote. `clock` tells how long an RS-232 meter was left alone: after some ten minutes it may have
+    dropped back to local. `line_hz` is the mains frequency, which sets how long a reading takes.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        channels: tuple[Channel, ...],
+        session: MessageSession,
+        clock: Clock,
+        *,
+        interface: Interface,
+        line_hz: float,
+    ) -> None:
+        self.name = name
+        self.channels = channels
+        self._session = session
+        self._clock = clock
+        self._interface = interface
+        self._line_hz = line_hz
+        self._settings: VoltmeterSettings | None = None
+        self._connection: int | None = None  # the connection over which the settings were proved
+        self._identified: int | None = None  # the one over which the identity was, None before `open`
+        self._started = False
+        self._spoke_s = -math.inf
+
+    # --- what a model says --------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def limits(self) -> Limits:
+        """What the model can do."""
+
+    @abstractmethod
+    def _accept(self, identity: Identity, reply: str) -> None:
+        """Raise `InstrumentRefused` unless the identity, as in the reply, is of this driver's models."""
+
+    @abstractmethod
+    def _setup(self, settings: VoltmeterSettings) -> Sequence[Setting]:
+        """Return what is sent to take such readings, in order."""
+
+    @abstractmethod
+    def _reading_time_s(self, settings: VoltmeterSettings, character_time_s: float) -> float:
+        """Return the time from INIT until the last character of FETC? has come, s."""
+
+    # --- the verbs of a voltmeter -------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, prove the identity by pattern (the serial number is 0 or not), empty the error queue.
+
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` for another instrument.
+        """
+        self._identified = _NONE
+        self._connection = None
+        self._started = False
+        self._session.open()
+        self._be_remote()
+        reply = self._session.query("*IDN?", pattern=IDENTITY, expected="an identity of four fields")
+        maker, model, serial, firmware = (field.strip() for field in reply.split(","))
+        identity = Identity(maker, model, "" if serial == "0" else serial, firmware)
+        self._accept(identity, reply)
+        self._session.write("*CLS")
+        self._identified = self._session.connection
+        return identity
+
+    def configure(self, settings: VoltmeterSettings) -> None:
+        """Send the settings, read each back and ask for errors; over a new connection prove the identity first.
+
+        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` with all that differs,
+        `InstrumentLost`, `BadReading`.
+        """
+        if wrong := self.limits.transgressions(settings):
+            raise LimitExceeded(self.name, f"cannot do {', '.join(wrong)}", "change the procedure")
+        self._connection = None
+        opened = self._identified is not None
+        if opened and self._identified != self._session.connection:
+            self.open()  # which also forgets the errors and events of what failed before
+        elif self._started:
+            self._discard()
+        self._be_remote()
+        differences = [phrase for setting in self._setup(settings) for phrase in self._set(setting)]
+        troubles = differences + self._errors()
+        if troubles and opened:
+            self._identified = _NONE
+        self._refuse(troubles, "did not take its settings")
+        self._settings = settings
+        self._connection = self._session.connection
+
+    def start(self) -> None:
+        """Begin a reading; over a connection that was made anew, prove identity and settings first.
+
+        One that was begun and never fetched (because another meter failed) is waited for: a meter that
+        still measures ignores a new start.
+        Raises what `open` and `configure` raise, `InstrumentRefused` when nothing was configured yet.
+        """
+        if self._settings is None:
+            raise InstrumentRefused(
+                self.name, "no range, NPLC and samples were set", "configure it before a reading"
+            )
+        if self._connection is None or self._connection != self._session.connection:
+            self.open()
+            self.configure(self._settings)
+        elif self._clock.now_s() - self._spoke_s > _STAYS_REMOTE_S:
+            self._be_remote()
+        if self._started:
+            self._discard()
+        self._session.write("INIT")
+        self._started = True
+
+    def fetch(self) -> dict[Channel, tuple[float, ...]]:
+        """Wait for the reading; return its samples in volts, `{"x": (1.2, …)}`.
+
+        Raises `BadReading` for an overload, another form or number of samples, or a reading that was not
+        started over this connection; `InstrumentLost`, also when the meter was switched off meanwhile;
+        `InstrumentRefused` for errors that the meter reports.
+        """
+        settings = self._settings
+        if settings is None or not self._started or self._connection != self._session.connection:
+            raise BadReading(
+                self.name, "no reading was started over this connection", "start the reading again"
+            )
+        reply = self._fetch(settings)
+        self._refuse_interruption()
+        values = tuple(float(text) for text in reply.rstrip(",").split(","))
+        # A scan reads all channels once: their samples stand interleaved.
+        signals = {
+            channel: values[index :: len(self.channels)] for index, channel in enumerate(self.channels)
+        }
+        self._refuse_overload(signals, settings)
+        self._spoke_s = self._clock.now_s()
+        return signals
+
+    def self_test(self) -> str:
+        """Have the meter test itself (*TST?, some 10 s on a 34401A); return the errors found, "" for none.
+
+        A signal at the input may disturb the test. Raises `InstrumentLost`, `BadReading`.
+        """
+        self._be_remote()
+        self._connection = None  # the settings are not relied on after a test
+        self._started = False
+        reply = self._session.query(
+            "*TST?",
+            timeout_s=self._session.timeout_s + _SELF_TEST_S,
+            pattern=r"[+-]?\d{1,5}",
+            expected="the result of the self-test, 0 or 1",
+        )
+        errors = self._errors()
+        self._spoke_s = self._clock.now_s()
+        return "" if int(reply) == 0 else ", ".join([f"*TST? answers {reply}", *errors])
+
+    def _fetch(self, settings: VoltmeterSettings) -> str:
+        """Wait for the reading that was started; return it as it was sent."""
+        self._started = False
+        readings = settings.samples * len(self.channels)
+        character_s = self._session.serial.character_time_s if self._interface == "rs232" else 0.0
+        return self._session.query(
+            "FETC?",
+            timeout_s=self._session.timeout_s + _PATIENCE * self._reading_time_s(settings, character_s),
+            # Some firmware prints a comma after the last reading.
+            pattern=rf"{_READING}(?:,{_READING}){{{readings - 1}}},?",
+            expected=f"{readings} readings such as +1.23456780E+00",
+        )
+
+    def _discard(self) -> None:
+        """Wait for a reading that nobody fetched."""
+        if self._settings is not None:
+            self._fetch(self._settings)
+
+    def close(self) -> None:
+        """Leave the meter in local and let it go. Never raises, may be called twice."""
+        if self._interface == "rs232" and self._session.connection is not None:
+            with contextlib.suppress(Exception):
+                self._session.write("SYST:LOC")
+        self._connection = None
+        self._started = False
+        self._session.close()
+
+    # --- settings, errors ---------------------------------------------------------------------------
+
+    def _be_remote(self) -> None:
+        """Over RS-232 the meter takes commands only in remote; by any other interface it is so by itself."""
+        if self._interface == "rs232":
+            self._session.write("SYST:REM")
+        self._spoke_s = self._clock.now_s()
+
+    def _set(self, setting: Setting) -> list[str]:
+        """Send a command, if any, and return how what is read back differs, as none or one phrase.
+
+        Asking after each command also keeps an RS-232 meter's input buffer of 100 characters from filling.
+        """
+        if setting.command is not None:
+            self._session.write(setting.command)
+        question, wanted = setting.question, setting.wanted
+        if isinstance(wanted, str):
+            reply = self._session.query(question)
+            taken = reply == wanted
+        else:
+            numbers = wanted if isinstance(wanted, tuple) else (wanted,)
+            reply = self._session.query(
+                question,
+                pattern=rf"{_NUMBER}(?:,{_NUMBER}){{{len(numbers) - 1}}}",
+                expected="a number" if len(numbers) == 1 else f"{len(numbers)} numbers",
+            )
+            answered = [float(text) for text in reply.split(",")]
+            taken = all(math.isclose(a, w, rel_tol=1e-6) for a, w in zip(answered, numbers, strict=True))
+        return [] if taken else [f"{question} answers {reply}, not {_plain(wanted)}"]
+
+    def _errors(self) -> list[str]:
+        """Empty the error queue and return what stood in it."""
+        errors = []
+        for _ in range(_ERROR_QUEUE + 1):
+            reply = self._session.query("SYST:ERR?", pattern=_ERROR, expected="an error number and text")
+            if int(reply.partition(",")[0]) == 0:
+                break
+            errors.append(f"error {reply}")
+        return errors
+
+    def _refuse(self, troubles: list[str], cause: str) -> None:
+        if troubles:
+            raise InstrumentRefused(
+                self.name,
+                f"{cause}: {', '.join(troubles)}",
+                "see what these mean in the meter's manual, and check that nobody else controls the meter",
+            )
+
+    def _refuse_overload(
+        self, signals: Mapping[Channel, tuple[float, ...]], settings: VoltmeterSettings
+    ) -> None:
+        over = [c for c, values in signals.items() if any(abs(value) >= OVERLOAD_V for value in values)]
+        if over:
+            raise BadReading(
+                self.name,
+                f"the signal of channel {' and '.join(over)} overloads the {settings.range_v:g} V range",
+                "choose a higher range in the procedure, or check the wiring and power of the block",
+            )
+
+    def _refuse_interruption(self) -> None:
+        """Refuse a reading that came from a meter which lost its settings, or reports errors.
+
+        On GPIB and RS-232 the connection outlives the meter's power: only its event register tells.
+        """
+        reply = self._session.query("*ESR?", pattern=r"[+-]?\d{1,3}", expected="a register of 0 to 255")
+        events = int(reply)
+        if events & _POWER_ON:
+            self._connection = None
+            raise InstrumentLost(
+                self.name,
+                "the meter was switched off and on since it was set up",
+                "check its power, then take this reading again",
+            )
+        if events & _ERRORS:
+            self._refuse(self._errors(), "reports errors with a reading")
+
+
+def is_of(identity: Identity, models: Sequence[str]) -> bool:
+    """Tell whether the identity is of one of the models, made by HP, Agilent or Keysight."""
+    return identity.model in models and re.fullmatch(_MAKER, identity.maker, re.IGNORECASE) is not None
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def _plain(wanted: str | float | tuple[float, ...]) -> str:
+    if isinstance(wanted, str):
+        return wanted
+    return _listed(wanted if isinstance(wanted, tuple) else (wanted,))

@@ -1,0 +1,241 @@
+"""A simulated rotary stage with a Zaber controller, in its ASCII protocol, on the head of the world.
+
+Source: Zaber ASCII Protocol Manual: message format, commands (home, move, stop, get, set, warnings), device
+settings, warning flags, checksumming.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim.world import World
+
+_SPEED_UNITS: Final = 1.6384
+"""The setting maxspeed is this many per microstep/s."""
+_INTEGER: Final = re.compile(r"-?\d{1,10}\Z")
+_NUMBER: Final = re.compile(r"\d{1,2}\Z")
+_MOST_STEPS: Final = 2**31 - 1
+_PRIORITY: Final = ("FD", "FS", "WR", "NC", "NI")
+"""Of several warnings a reply shows the first."""
+
+
+class _Rejected(Exception):
+    """A command that is answered with RJ and this reason."""
+
+
+class ZaberStage:
+    """One device of which the axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
+
+    `homed` False is a stage that was just switched on and has no absolute encoder: it must be homed first.
+    `encoder` tells whether it notices that it is stuck (flag FS); without, it counts steps and believes them.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        steps_per_degree: float,
+        device: int = 1,
+        axis: int = 1,
+        resolution: int = 64,
+        device_id: int = 50952,
+        speed_deg_s: float = 10.0,
+        lowest_deg: float = -400.0,
+        highest_deg: float = 400.0,
+        homed: bool = True,
+        encoder: bool = True,
+    ) -> None:
+        self._world = world
+        self._steps_per_degree = steps_per_degree
+        self._device = device
+        self._axis = axis
+        self._encoder = encoder
+        self._limits = sorted(round(deg * steps_per_degree) for deg in (lowest_deg, highest_deg))
+        self._read_only = {"deviceid": device_id, "system.serial": 73021, "version": "7.38"}
+        self._read_only["resolution"] = resolution
+        speed = round(speed_deg_s * abs(steps_per_degree) * _SPEED_UNITS)
+        self._settings = {"comm.alert": 0, "comm.checksum": 0, "maxspeed": speed}
+        self._warnings: set[str] = set() if homed else {"WR"}
+        self._homing = False
+        self._alert_due = False
+        self._commands: dict[str, Callable[[list[str]], str]] = {
+            "get": self._get,
+            "set": self._set,
+            "home": self._home,
+            "move": self._move,
+            "stop": self._stop,
+            "estop": self._stop,
+            "warnings": self._tell_warnings,
+        }
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Answer one command line; nothing is said to a line for another device or of another form."""
+        text = message.decode("ascii", "replace")
+        if not text.startswith("/"):
+            return None
+        body, colon, sent = text[1:].rpartition(":")
+        if colon and _checksum(body) != sent:
+            return None
+        words = (body if colon else text[1:]).split()
+        numbers: list[int] = []
+        while words and _NUMBER.match(words[0]) and len(numbers) < 3:
+            numbers.append(int(words.pop(0)))
+        device, axis, *number = (*numbers, *(0, 0)[len(numbers) :]) if len(numbers) < 2 else numbers
+        if device not in (0, self._device):
+            return None
+        alert = self._alert()
+        reply = self._reply(axis, number, words)
+        return (alert + reply).encode("ascii")
+
+    def device_clear(self) -> None:
+        """The protocol knows none."""
+
+    def input_overflow(self) -> None:
+        """A line that is too long is not answered."""
+
+    def power_cycle(self) -> None:
+        """Switch off and on: the motion ends, the reference is lost; settings are kept."""
+        self._world.stop_head()
+        self._homing = False
+        self._warnings = {"WR"}
+
+    def turn_knob(self, angle_rad: float) -> None:
+        """Let somebody turn the stage by its knob."""
+        self._world.move_head(angle_rad, self._speed_rad_s)
+        self._warnings.add("NC")
+
+    # --- messages -----------------------------------------------------------------------------------
+
+    def _reply(self, axis: int, number: list[int], words: list[str]) -> str:
+        try:
+            if axis not in (0, self._axis):
+                raise _Rejected("BADAXIS")
+            if words and words[0] not in self._commands:
+                raise _Rejected("BADCOMMAND")
+            data = self._commands[words[0]](words[1:]) if words else "0"
+            verdict = "OK"
+        except _Rejected as rejection:
+            verdict, data = "RJ", str(rejection)
+        # What the command did shows in its own reply.
+        status = "BUSY" if self._busy else "IDLE"
+        shown = "".join(f" {n:02d}" for n in number)
+        return self._signed("@", f"{self._device:02d} {axis}{shown} {verdict} {status} {self._flag} {data}")
+
+    def _alert(self) -> str:
+        """Return the alert line that a movement's end has called for, ahead of the next reply."""
+        if not self._alert_due or self._busy:
+            return ""
+        self._alert_due = False
+        return self._signed("!", f"{self._device:02d} {self._axis} IDLE {self._flag}") + "\r\n"
+
+    def _signed(self, kind: str, text: str) -> str:
+        return f"{kind}{text}:{_checksum(text)}" if self._settings["comm.checksum"] else f"{kind}{text}"
+
+    # --- state --------------------------------------------------------------------------------------
+
+    @property
+    def _busy(self) -> bool:
+        busy = self._world.head_rate_rad_s != 0.0
+        if self._homing and not busy and not self._world.head_stuck:
+            self._homing = False
+            self._warnings.discard("WR")
+        return busy
+
+    @property
+    def _flag(self) -> str:
+        if self._encoder and self._world.head_stuck:
+            self._warnings.add("FS")
+        return next((flag for flag in _PRIORITY if flag in self._warnings), "--")
+
+    @property
+    def _speed_rad_s(self) -> float:
+        return math.radians(self._settings["maxspeed"] / _SPEED_UNITS / abs(self._steps_per_degree))
+
+    @property
+    def _position(self) -> int:
+        return round(math.degrees(self._world.scale_angle_rad) * self._steps_per_degree)
+
+    # --- commands -----------------------------------------------------------------------------------
+
+    def _get(self, words: list[str]) -> str:
+        name = words[0] if len(words) == 1 else ""
+        if name == "pos":
+            return str(self._position)
+        if name in ("limit.min", "limit.max"):
+            return str(self._limits[name == "limit.max"])
+        value = self._read_only.get(name, self._settings.get(name))
+        if value is None:
+            raise _Rejected("BADCOMMAND")
+        return str(value)
+
+    def _set(self, words: list[str]) -> str:
+        if len(words) != 2 or words[0] not in self._settings:
+            raise _Rejected("BADCOMMAND")
+        least, most = (1, _MOST_STEPS) if words[0] == "maxspeed" else (0, 1)
+        self._settings[words[0]] = _integer(words[1], least, most)
+        return "0"
+
+    def _move(self, words: list[str]) -> str:
+        """Move abs, rel, min or max; a movement under way is interrupted by it."""
+        kind = words[0] if words else ""
+        if kind in ("min", "max") and len(words) == 1:
+            target = self._limits[kind == "max"]
+        elif kind in ("abs", "rel") and len(words) == 2:
+            origin = self._position if kind == "rel" else 0
+            lowest, highest = self._limits
+            target = origin + _integer(words[1], lowest - origin, highest - origin)
+        else:
+            raise _Rejected("BADCOMMAND")
+        if "WR" in self._warnings:
+            raise _Rejected("BADDATA")
+        self._begin(target)
+        return "0"
+
+    def _home(self, words: list[str]) -> str:
+        if words:
+            raise _Rejected("BADCOMMAND")
+        self._begin(0)
+        self._homing = True
+        return "0"
+
+    def _stop(self, words: list[str]) -> str:
+        self._interrupt()
+        self._world.stop_head()
+        return "0"
+
+    def _begin(self, target: int) -> None:
+        self._interrupt()
+        self._warnings -= {"FS", "NC"}
+        self._world.move_head(math.radians(target / self._steps_per_degree), self._speed_rad_s)
+        self._alert_due = bool(self._settings["comm.alert"])
+
+    def _interrupt(self) -> None:
+        if self._busy:
+            self._warnings.add("NI")
+            self._homing = False
+
+    def _tell_warnings(self, words: list[str]) -> str:
+        """List the warnings; `warnings clear` then forgets those that can be."""
+        _ = self._flag
+        shown = [flag for flag in _PRIORITY if flag in self._warnings]
+        if words == ["clear"]:
+            self._warnings &= {"WR"}
+        return " ".join([f"{len(shown):02d}", *shown])
+
+
+def _integer(text: str, least: int, most: int) -> int:
+    if _INTEGER.match(text) is None or not least <= int(text) <= most:
+        raise _Rejected("BADDATA")
+    return int(text)
+
+
+def _checksum(body: str) -> str:
+    """Two's complement of the sum of the bytes, two hexadecimal digits."""
+    return f"{-sum(body.encode('ascii', 'replace')) & 0xFF:02X}"
