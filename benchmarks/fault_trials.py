@@ -89,8 +89,8 @@ class Outcome:
 # --- the benches ------------------------------------------------------------------------------------
 
 
-def exact(data: dict[str, Any]) -> dict[str, Any]:
-    """Return a bench file's data without any error of stand, voltmeter and operator, with short timeouts."""
+def exact(data: dict[str, Any], timeout: str) -> dict[str, Any]:
+    """Return a bench file's data without any error of stand, voltmeter and operator, with these timeouts."""
     for name, size in data["stand"].items():
         size["limit"] = "0 V" if name == "voltmeter_error" else "0 arcsec"
     simulation = data.setdefault("simulation", {})
@@ -103,28 +103,30 @@ def exact(data: dict[str, Any]) -> dict[str, Any]:
     with_wire = [part for part in (instruments["head"], instruments.get("chamber")) if part]
     for section in [*instruments["voltmeters"], *with_wire]:
         if "resource" in section:
-            section["timeout"] = TIMEOUT
+            section["timeout"] = timeout
     return data
 
 
-def stands(folder: Path, names: Sequence[str]) -> list[Stand]:
-    """Make the benches of these bench files, each with a run without faults that counts the exchanges."""
+def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[Stand]:
+    """Make the benches of these bench files, each with a run without faults that counts the exchanges.
+
+    Raises `RuntimeError` when that run fails.
+    """
     made = []
     for name in names:
-        data = exact(yaml.safe_load((ROOT / "config" / f"{name}.yaml").read_text(encoding="utf-8")))
+        shipped = (ROOT / "config" / f"{name}.yaml").read_text(encoding="utf-8")
+        data = exact(yaml.safe_load(shipped), timeout)
         chamber = data["instruments"].get("chamber") or {}
         heated = chamber.get("driver", "manual-chamber") != "manual-chamber"
         bench_file, procedure = folder / f"{name}.yaml", folder / f"{name}-procedure.yaml"
         bench_file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
         procedure.write_text(PROCEDURE.format(temperature=TEMPERATURE if heated else ""), encoding="utf-8")
-        on_bus = tuple(
-            simulated_name for m in data["instruments"]["voltmeters"] for simulated_name in _on_bus(m)
-        )
+        on_bus = tuple(n for meter in data["instruments"]["voltmeters"] for n in _on_bus(meter))
         bare = Stand(name, bench_file, procedure, {}, {}, on_bus)
         with watched(()) as watch:
             status, said, _ = command(run_arguments(bare, folder, f"{name}-undisturbed"))
         if status != 0:
-            sys.exit(f"{name}: the run without faults ended with {status}: {said}")
+            raise RuntimeError(f"{name}: the run without faults ended with {status}: {said}")
         exchanges = {w.name: w.exchanges for w in watch.wires}
         able = {
             str(kind): tuple(w.name for w in watch.wires if w.exchanges and w.can_have(kind))

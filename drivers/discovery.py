@@ -7,6 +7,7 @@ announce themselves.
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +17,12 @@ _PACKAGES: Final = {
     "psutil": "only the network of the default interface was searched (install psutil to search all)",
     "zeroconf": "instruments that announce themselves as HiSLIP were not searched (install zeroconf)",
 }
-"""By the package that pyvisa-py misses, what was not searched without it."""
+"""By the package that pyvisa-py misses and warns of, what was not searched without it."""
+_LIBRARIES: Final = {
+    ("gpib", "gpib_ctypes"): "GPIB boards were not searched (install linux-gpib or gpib-ctypes)",
+    ("usb",): "USB was not searched (install pyusb)",
+}
+"""By the packages of which pyvisa-py silently misses each, what was not searched without them."""
 SOCKETS: Final = (
     "raw SCPI sockets (TCPIP::HOST::5025::SOCKET), chambers and heads on a network cannot be found this way: "
     "see the address on the instrument's own display"
@@ -61,6 +67,7 @@ def discover(
         notes.append(f"serial ports could not be searched ({type(error).__name__}: {error})")
     said = " ".join(str(warning.message) for warning in missed)
     notes += [text for package, text in _PACKAGES.items() if package in said]
+    notes += [text for names, text in _LIBRARIES.items() if not any(map(importlib.util.find_spec, names))]
     # Each serial port is also offered as a GPIB adapter, whatever is plugged into it.
     own = {port.resource for port in ports}
     resources = tuple(r for r in resources if not r.startswith("PRLGX") and r not in own)

@@ -25,9 +25,11 @@ if TYPE_CHECKING:
 
 SEED = 20261121
 FAULTS = 40
+TIMEOUT = "0.3 s"
 NEVER_S = 120.0
 """No trial is judged by its time here: a machine that is busy is not a fault."""
 BENCHES = ("paper-stand", "bench-rs232", "bench-prologix", "bench-motorised")
+"""GPIB boards, serial ports, an adapter; a head and a chamber with wires of their own."""
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def benches(runs: Path) -> dict[str, Stand]:
-    return {stand.name: stand for stand in fault_trials.stands(runs, BENCHES)}
+    return {stand.name: stand for stand in fault_trials.stands(runs, BENCHES, TIMEOUT)}
 
 
 def tried(stand: Stand, runs: Path, name: str, *faults: Fault) -> Outcome:

@@ -231,7 +231,8 @@ def test_what_a_bench_cannot_do_is_told_all_at_once(load):
     bench = load_bench(find_bench("paper-stand"))
     told = check(plan, bench)
     assert told == [
-        "step 0003/mount/7: the bench file has no installation 7 (it has 1, 2, V, 1T90, 2T90, 1T180, 2T180); state it there",
+        "step 0003/mount/7: the bench file has no installation 7 "
+        "(it has 1, 2, V, 1T90, 2T90, 1T180, 2T180); state it there",
         "step 0005/read/7.1.1: the voltmeters do not integrate over 5 NPLC; "
         "take one of 0.02, 0.2, 1, 10, 100",
         "step 0005/read/7.1.1: 1000 samples are more than the 512 that a voltmeter holds",

@@ -15,7 +15,10 @@ import pytest
 from bench.bench_file import load_bench
 from bench.cli import main
 from bench.commands import instruments as command
+from bench.compose import dry_bench
 from bench.model import ForwardModel
+from bench.shipped import find_bench
+from drivers.clock import SystemClock
 from drivers.discovery import SOCKETS, SerialPort, discover
 from drivers.interfaces import Identity, InstrumentLost, SelfTesting
 from sim.agilent_34401a import Agilent34401A
@@ -217,6 +220,21 @@ def test_a_motorised_head_shows_where_it_stands() -> None:
     row = command._Row("head", "COM1", "")
     command._look_at(Standing(), row, 10.0)
     assert (row.shows, row.self_test, row.failures) == ("45°00′00″", "none", [])
+
+
+def test_a_bench_with_motors_is_looked_at_and_nothing_moves() -> None:
+    """A head and a chamber with wires of their own show where they stand and what they have."""
+    file = load_bench(find_bench("bench-motorised"))
+    with dry_bench(file, ForwardModel(file.installation_models()), 1) as assembly:
+        instruments = assembly.instruments.all()
+        rows = [command._row(file, instrument) for instrument in instruments]
+        command._look_at_all(instruments, rows, file.voltmeter_range_v, SystemClock())
+    shown = {row.name: row for row in rows}
+    assert [failure for row in rows for failure in row.failures] == []
+    assert shown["head"].shows == "0°00′00″"
+    assert shown["head"].address == "ASRL/dev/ttyUSB0::INSTR"
+    assert shown["chamber"].value == pytest.approx(23.0, abs=0.5)
+    assert {row.self_test for row in rows} == {"passed", "none"}
 
 
 def test_without_a_bench_file_it_says_so(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

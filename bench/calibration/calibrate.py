@@ -134,8 +134,10 @@ def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
     u = np.sqrt(np.diag(fit.covariance))[FIXED:]
     names = problem.names()
     return {
-        names[j]: Estimate(float(fit.others[j]) / ARCSEC, float(u[j]) / ARCSEC, "arcsec")
-        for j in range(len(problem.stand))
+        names[j]: Estimate(
+            float(fit.others[j]) / ARCSEC, float(u[j]) / ARCSEC, "arcsec", unknown.prior_u / ARCSEC
+        )
+        for j, unknown in enumerate(problem.stand)
     }
 
 

@@ -17,21 +17,31 @@ Floats = NDArray[np.float64]
 ARCSEC = np.pi / 648000
 
 
+HARDLY_BETTER = 0.95
+"""An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""
+
+
 class CalibrationError(ValueError):
     """The readings cannot give what was asked of them; the text says why and what would."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty, both in `unit`."""
+    """A value with its standard uncertainty, both in `unit`; `prior_u` is what was known before the data."""
 
     value: float
     u: float
     unit: str
+    prior_u: float = float("inf")
+
+    @property
+    def told_by_data(self) -> bool:
+        """Whether the data made it any better known than it was before."""
+        return self.u < HARDLY_BETTER * self.prior_u
 
     def to_json(self) -> dict[str, Any]:
         """Return the promised form."""
-        return {"value": self.value, "u": self.u, "unit": self.unit}
+        return {"value": self.value, "u": self.u, "unit": self.unit, "told_by_data": self.told_by_data}
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,8 @@ def _show(rows: Sequence[_Row]) -> None:
     out = printing.console()
     table = Table(box=None, pad_edge=False)
     for heading in ("instrument", "address", "identity", "settings", "self-test", "shows"):
-        table.add_column(heading, overflow="fold")
+        # An address is copied from the table, so it must not be broken.
+        table.add_column(heading, overflow="fold", no_wrap=heading in {"instrument", "address", "self-test"})
     for row in rows:
         identity = "NOT OPENED" if row.identity is None else str(row.identity)
         failed = row.self_test not in ("", _NO_TEST, _BY_HAND, _PASSED)

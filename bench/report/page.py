@@ -78,6 +78,7 @@ def verdict(verification: Verification | None) -> dict[str, Any]:
         "rule_in_words": RULES.get(verification.rule, ""),
         "near": near,
         "points": len(verification.points),
+        "missing": verification.missing,
         "outside": sum(not p.passed for p in verification.points),
     }
 
@@ -97,8 +98,8 @@ def fit_in_words(fit: LackOfFit) -> dict[str, Any]:
         return {
             "state": "fits",
             "figures": figures,
-            "short": "the model fits the readings",
-            "sentence": "The model fits: what it leaves is no more than the scatter of the repeats explains; "
+            "short": "no lack of fit shown at 1 %",
+            "sentence": "No lack of fit is shown: what the model leaves the scatter of the repeats explains; "
             f"chance alone would leave more in {_percent(fit.p)} of calibrations.",
         }
     return {
@@ -126,7 +127,7 @@ def _coefficients(calibration: Calibration) -> dict[str, Any]:
         "groups": tables.coefficient_groups(calibration),
         "strongest": tables.strongest_correlations(calibration),
         "figure": Markup(plots.correlations(calibration)),  # noqa: S704 - our own drawing
-        "g": f"{calibration.g_m_s2:.9g}",
+        "g": f"{calibration.g_m_s2:.7g}",
     }
 
 

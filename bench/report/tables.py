@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from bench.calibration import Calibration, Verification
+from bench.calibration import Calibration, Estimate, Noise, Verification
 from bench.calibration.design import SYMBOLS
 from bench.calibration.result import ARCSEC
 from bench.model.block import COEFFICIENTS
@@ -172,8 +172,10 @@ def stand(calibration: Calibration) -> list[Row]:
         aligned([fixed(pull, 1, sign=True) for pull in pulls]),
     )
     return [
-        Row(_stand_angle(name), (*cells, _in_words(pull)))
-        for name, cells, pull in zip(calibration.stand, zip(*columns, strict=True), pulls, strict=True)
+        Row(_stand_angle(name), (*cells, _in_words(pull, estimate)))
+        for (name, estimate), cells, pull in zip(
+            calibration.stand.items(), zip(*columns, strict=True), pulls, strict=True
+        )
     ]
 
 
@@ -190,9 +192,11 @@ def _stand_angle(name: str) -> Markup:
     return Markup("{}{}, installation {}").format(letter, meaning, parts["mount"])
 
 
-def _in_words(pull: float) -> str:
+def _in_words(pull: float, estimate: Estimate) -> str:
     if not np.isfinite(pull):
         return "–"
+    if not estimate.told_by_data:
+        return "no better known than before"
     return "shows in the data" if abs(pull) > SHOWS else "not told from zero"
 
 
@@ -279,12 +283,20 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
     return scale.unit, rows
 
 
+def _limits(noise: Noise) -> str:
+    """Between which values the setting error lies, where the data tell."""
+    if noise.setting_limits_rad is None:
+        return ""
+    low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
+    return f" (with 95 % between {low:.2g}″ and {high:.2g}″)"
+
+
 def noise(calibration: Calibration) -> dict[str, str]:
     """Return the noise sizes, where they come from, and the root mean square of the residuals."""
     of = calibration.noise
     return {
         "reading": quantity(of.reading, calibration.unit),
-        "setting": f"{two_digits(of.setting_rad / ARCSEC)}″",
+        "setting": f"{two_digits(of.setting_rad / ARCSEC)}″{_limits(of)}",
         "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
         "source": of.source,
         "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
