@@ -70,7 +70,7 @@ class EspecSection(ControlledChamberForm):
     resource: Annotated[
         str,
         resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.168.1.50::10001::SOCKET'"
+            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.50::10001::SOCKET'"
         ),
     ]
     identity: IdentityPattern = r"[EP]S?-?[123]\d\d|SCP-?220"
@@ -85,7 +85,7 @@ class WatlowF4TSection(ControlledChamberForm):
     """
 
     driver: Literal["watlow-f4t"]
-    resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.168.1.51::5025::SOCKET'")]
+    resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.51::5025::SOCKET'")]
     identity: IdentityPattern = r"F4T"
     loop: Annotated[int, Field(ge=1, le=4)] = 1
     output: Annotated[int, Field(ge=1, le=99)] | None = None
@@ -105,7 +105,7 @@ class ThermotronSection(ControlledChamberForm):
     resource: Annotated[
         str,
         resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.168.1.52::8888::SOCKET'"
+            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.52::8888::SOCKET'"
         ),
     ]
     identity: IdentityPattern = r"2800|3800|8200|8800"

@@ -84,7 +84,7 @@ class ZaberSection(MotorisedHeadForm):
     resource: Annotated[
         str,
         resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB0::INSTR' or 'TCPIP0::192.168.1.30::55550::SOCKET'"
+            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB0::INSTR' or 'TCPIP0::192.0.2.30::55550::SOCKET'"
         ),
     ]
     steps_per_degree: float
@@ -113,7 +113,7 @@ class AcutrolSection(MotorisedHeadForm):
     """One axis of a rate table with an ACUTROL controller; below `still_rate` it stands."""
 
     driver: Literal["acutrol"]
-    resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.168.1.40::9888::SOCKET'")]
+    resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.40::9888::SOCKET'")]
     axis: Annotated[int, Field(ge=1, le=9)] = 1
     still_rate: SpeedRadS = math.radians(0.005)
 

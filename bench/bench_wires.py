@@ -20,14 +20,14 @@ _ADAPTER_PORT: Final = ":1234"
 
 
 class BusPlace(NamedTuple):
-    """Where an instrument behind a GPIB adapter is: the adapter ("192.168.1.10", "/dev/ttyUSB0"), the address."""
+    """Where an instrument behind a GPIB adapter is: the adapter ("192.0.2.10", "/dev/ttyUSB0"), the address."""
 
     adapter: str
     address: int
 
 
 def bus_place(resource: str) -> BusPlace | None:
-    """Return the place that `prologix://192.168.1.10/22` names, None for a resource of another kind."""
+    """Return the place that `prologix://192.0.2.10/22` names, None for a resource of another kind."""
     match = _ADAPTER.fullmatch(resource)
     if match is None or int(match[2]) > _HIGHEST_ADDRESS:
         return None
@@ -44,8 +44,8 @@ def meter_resource(resource: str) -> str:
     if _VISA.fullmatch(resource) is None and bus_place(resource) is None:
         raise ValueError(
             "expected a VISA resource such as 'GPIB0::22::INSTR', 'ASRL/dev/ttyUSB0::INSTR' or "
-            "'TCPIP0::192.168.1.22::5025::SOCKET', or one behind a GPIB adapter such as "
-            f"'prologix://192.168.1.10/22', got '{resource}'"
+            "'TCPIP0::192.0.2.22::5025::SOCKET', or one behind a GPIB adapter such as "
+            f"'prologix://192.0.2.10/22', got '{resource}'"
         )
     return resource
 

@@ -124,12 +124,20 @@ def check(
     every_step: Annotated[
         bool, typer.Option("--all", help="List each step, not runs of equal ones.")
     ] = False,
+    instruments: Annotated[
+        bool, typer.Option("--instruments", help="Then open the bench's instruments, too.")
+    ] = False,
     runs: RunsOption = RUNS,
 ) -> int:
     """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
     from bench.commands import check as command
 
-    return command.check(procedure, bench, json, every_step=every_step, runs=runs)
+    status = command.check(procedure, bench, json, every_step=every_step, runs=runs)
+    if not instruments:
+        return status
+    from bench.commands import instruments as live
+
+    return max(status, live.look(bench, None, None))
 
 
 @app.command(epilog="Example: bench runs")

@@ -15,6 +15,8 @@ from bench.readings import UNORIENTED, VERIFICATION
 
 Floats = NDArray[np.float64]
 
+ROUNDING_RAD: Final = 1e-9
+
 _BYTES_OF_REPORT: Final = 1_500_000
 _BYTES_OF_STEP: Final = 800
 _BYTES_OF_READING: Final = 800
@@ -28,7 +30,7 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     In a dry run nobody can answer a prompt without a default, so that such a prompt is a reason too.
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench),
-            *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
+            *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
             *_settling_problems(plan, bench), *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
 
 
@@ -55,6 +57,26 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for count, key in samples.items():
         if count > bench.most_samples:
             yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
+
+
+def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A motorised head backs off before it arrives from the demanded side: that place must be allowed, too."""
+    if bench.head_limits_rad is None:
+        return
+    low_rad, high_rad = bench.head_limits_rad
+    told: set[tuple[float, int]] = set()
+    for step in plan.steps:
+        if not isinstance(step, Turn) or (step.target_rad, step.direction) in told:
+            continue
+        told.add((step.target_rad, step.direction))
+        start_rad = step.target_rad - step.direction * bench.head_backoff_rad
+        lowest, highest = sorted((step.target_rad, start_rad))
+        if lowest < low_rad - ROUNDING_RAD or highest > high_rad + ROUNDING_RAD:
+            yield (
+                f"step {step.key}: the head may go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°, but "
+                f"{'rising' if step.direction > 0 else 'falling'} to {np.degrees(step.target_rad):g}° needs "
+                f"{np.degrees(lowest):g}° to {np.degrees(highest):g}°"
+            )
 
 
 def _signal_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:

@@ -6,6 +6,7 @@ it cannot tell a simulated bench from a real one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from bench.control import Control, Controls, NoControls, OperatorWish
 from bench.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.record import Event, Record, RecordError
 from bench.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
+from bench.settling import Settling
 from bench.states import HEARD, TRANSITIONS, State, Wish
 from bench.workbench import NAP_S, Instruments, Workbench
 from drivers.clock import Clock, SystemClock
@@ -64,12 +66,21 @@ class Runner:
     progress: Progress = field(default_factory=Progress)
     patience: Clock = field(default_factory=SystemClock)
     watch: Watch = lambda reading: []
+    block_limits_c: tuple[float, float] = (-math.inf, math.inf)
+    on_settling: Callable[[Settling], None] = lambda state: None
     state: State = State.READY
     _zero_s: float = 0.0
 
     def __post_init__(self) -> None:
         self._workbench = Workbench(
-            self.instruments, self.person, self.clock, self.range_v, self._now_s, self._hear
+            self.instruments,
+            self.person,
+            self.clock,
+            self.range_v,
+            self._now_s,
+            self._hear,
+            on_settling=self.on_settling,
+            block_limits_c=self.block_limits_c,
         )
 
     def run(self, resume: ResumePoint | None = None) -> None:

@@ -12,6 +12,7 @@ from rich.text import Text
 from bench.control import SIGN, OperatorWish, parse_wish
 from bench.plan import Plan
 from bench.record import Event
+from bench.settling import Settling
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
 
 SLOW_TO_LEARN_S: Final = 1800.0
@@ -148,6 +149,12 @@ class ProgressBar:
             self._show_reading(event)
         elif event.type in {"early_sign", "step_failed", "wish_refused", "left_safe"}:
             self._console.print(Text(told(event), style="bold yellow"))
+
+    def settling(self, state: Settling) -> None:
+        """Show how far what is waited for has settled."""
+        left = "" if state.left_s is None else f", about {duration(state.left_s)} to go"
+        moving = ", ".join(f"{spread:.2g}" for spread in state.spread)
+        self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
 
     def _time_left_s(self, index: int, bench_s: float) -> float:
         """Expected time left, corrected by how long the steps so far took against what was expected."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -20,6 +21,7 @@ from drivers.interfaces import (
     DividingHead,
     HeadPosition,
     Instrument,
+    LimitExceeded,
     NotConnected,
     Person,
     Prompt,
@@ -84,7 +86,8 @@ class Workbench:
     """Executes steps. `range_v` is the voltmeters' fixed range, `now_s` the bench time since the run began.
 
     `visits` gives the series that readings of a (series, installation) are recorded with, where the block
-    was mounted again in the middle of it; `temperature_c` is the temperature last read or told.
+    was mounted again in the middle of it; `block_limits_c` are the temperatures that the block may have;
+    `temperature_c` is the temperature last read or told.
     """
 
     instruments: Instruments
@@ -94,6 +97,7 @@ class Workbench:
     now_s: Callable[[], float]
     between_naps: Callable[[], None] = lambda: None
     on_settling: Callable[[Settling], None] = lambda state: None
+    block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
     _reference_v: float | None = field(default=None, init=False)
     _position: HeadPosition | None = field(default=None, init=False)
@@ -195,7 +199,7 @@ class Workbench:
                     "take a plain soak in the procedure, such as 'soak: 4 h'",
                 )
             state = wait_until_settled(
-                lambda: (chamber.temperature(step.key),),
+                lambda: (chamber.temperature(step.key, settling=True),),
                 criterion,
                 self.clock,
                 self._nap,
@@ -268,10 +272,20 @@ class Workbench:
         }
 
     def _take_temperature(self, key: str) -> None:
-        """Read the chamber; a person is asked once after each mounting and each new temperature."""
+        """Read the chamber; a person is asked once after each mounting and each new temperature.
+
+        Raises `LimitExceeded` when the block is where it may not be: the run stops, the chamber goes safe.
+        """
         chamber = self.instruments.chamber
         if chamber is not None and (self.temperature_c is None or not chamber.asks_person):
             self.temperature_c = chamber.temperature(key)
+        low_c, high_c = self.block_limits_c
+        if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
+            raise LimitExceeded(
+                "block",
+                f"it is at {self.temperature_c:g} °C, but may be given {low_c:g} to {high_c:g} °C only",
+                "find out why the chamber went there before going on",
+            )
 
     def _sample(self) -> dict[str, tuple[float, ...]]:
         """Start every meter before the first is waited for, so that the signals are sampled together."""

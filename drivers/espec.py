@@ -114,7 +114,7 @@ class EspecChamber:
         self._refuse_mode("CONSTANT")
         self._target_c = target_c
 
-    def temperature(self, key: str) -> float:
+    def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature of the air, °C.
 
         Raises `InstrumentRefused` for an alarm, for an operation or set point that somebody changed, for
@@ -129,7 +129,7 @@ class EspecChamber:
             if mode != "CONSTANT":
                 raise self._other_mode(mode, "CONSTANT")
             refuse_other_set_point(self.name, set_point_c, self._target_c, _RESOLUTION_C)
-        return self._limits.in_band(self.name, air_c, self._target_c)
+        return self._limits.in_band(self.name, air_c, None if settling else self._target_c)
 
     def _prove(self) -> None:
         fields = [

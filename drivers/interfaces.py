@@ -236,6 +236,10 @@ class ThermalChamber(Instrument, Protocol):
         """
         ...
 
-    def temperature(self, key: str) -> float:
-        """Return the temperature at the block (or of the air, where that is all there is), °C."""
+    def temperature(self, key: str, *, settling: bool = False) -> float:
+        """Return the temperature at the block (or of the air, where that is all there is), °C.
+
+        While it is `settling` it may still be far from what was demanded; else that is an error where the
+        bench file states a band. Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
+        """
         ...

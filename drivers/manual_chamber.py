@@ -82,7 +82,7 @@ class ManualChamber:
             "set it and take this step again",
         )
 
-    def temperature(self, key: str) -> float:
+    def temperature(self, key: str, *, settling: bool = False) -> float:
         """Ask for the temperature on the thermometer at the block, °C; an implausible one is asked again.
 
         Raises `BadReading` when no plausible one comes, `NoAnswer` when there is nobody to ask.

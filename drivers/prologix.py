@@ -1,6 +1,6 @@
 """GPIB through an adapter of the Prologix kind (GPIB-ETHERNET, GPIB-USB, and those that speak as they do).
 
-A resource names adapter and GPIB address at once: `prologix://192.168.1.10:1234/22` (the port may be left
+A resource names adapter and GPIB address at once: `prologix://192.0.2.10:1234/22` (the port may be left
 out: 1234), `prologix:///dev/ttyUSB0/22` or `prologix://COM3/22`. Nothing else has to be set up; instruments
 whose resources name the same adapter share its connection and its lock.
 
@@ -274,7 +274,7 @@ def parse(resource: str) -> tuple[str, int]:
     if match is None or int(match["address"]) > _HIGHEST_ADDRESS:
         raise WireError(
             "is not an address that can be understood",
-            "write it like prologix://192.168.1.10:1234/22 or prologix:///dev/ttyUSB0/22, "
+            "write it like prologix://192.0.2.10:1234/22 or prologix:///dev/ttyUSB0/22, "
             f"with a GPIB address of 0 to {_HIGHEST_ADDRESS}",
         )
     address = int(match["address"])

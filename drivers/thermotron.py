@@ -97,7 +97,7 @@ class ThermotronChamber:
         self._refuse_mode(_MANUAL, "manual")
         self._target_c = target_c
 
-    def temperature(self, key: str) -> float:
+    def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature of the air, °C.
 
         Raises `InstrumentRefused` for a mode or set point that somebody changed, or air out of band;
@@ -106,7 +106,7 @@ class ThermotronChamber:
         if self._target_c is not None:
             self._refuse_mode(_MANUAL, "manual")
             refuse_other_set_point(self.name, self._number("SETP1?"), self._target_c, _RESOLUTION_C)
-        return self._limits.in_band(self.name, self._number("PVAR1?"), self._target_c)
+        return self._limits.in_band(self.name, self._number("PVAR1?"), None if settling else self._target_c)
 
     def _prove(self) -> None:
         reply = self._session.ask("IDEN?", r"[\x20-\x7e]+", "an identity")

@@ -33,7 +33,7 @@ class MessageSession:
     """One instrument's wire: text commands out, one line of text back for each query.
 
     `name` is the instrument's name on the bench, `resource` a VISA resource string, or for an instrument
-    behind a GPIB adapter one such as `prologix://192.168.1.10:1234/22`. The terminations and `serial` hold
+    behind a GPIB adapter one such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` hold
     for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves.
     Safe to use from several threads; give one resource to one session only.
     """

@@ -101,7 +101,7 @@ class WatlowF4TChamber:
             self._switch_output(self._output, on=True)
         self._target_c = target_c
 
-    def temperature(self, key: str) -> float:
+    def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature of the air, °C.
 
         Raises `InstrumentRefused` for an error of the loop, an output switched off, a set point that
@@ -113,7 +113,9 @@ class WatlowF4TChamber:
             refuse_other_set_point(self.name, shown_c, self._target_c, _RESOLUTION_C)
             if self._output is not None:
                 self._refuse_output(self._output, on=True)
-        return self._limits.in_band(self.name, self._temperature_c("PVALUE"), self._target_c)
+        return self._limits.in_band(
+            self.name, self._temperature_c("PVALUE"), None if settling else self._target_c
+        )
 
     def _prove(self) -> None:
         reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", "an identity")

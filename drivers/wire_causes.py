@@ -54,7 +54,7 @@ _BY_STATUS: Final[dict[int, Cause]] = {
     ),
     StatusCode.error_invalid_resource_name: (
         "is not an address that can be understood",
-        "write it like TCPIP::192.168.1.5::5025::SOCKET, GPIB0::22::INSTR or ASRL/dev/ttyUSB0::INSTR",
+        "write it like TCPIP::192.0.2.5::5025::SOCKET, GPIB0::22::INSTR or ASRL/dev/ttyUSB0::INSTR",
     ),
     StatusCode.error_no_listeners: (
         "has no listener on the GPIB bus",

@@ -25,7 +25,7 @@ class Clock:
 class ScriptedSession:
     """A reply of None has none; an exception is raised. A reply of another form ends the connection."""
 
-    resource = "TCPIP::192.168.1.5::9888::SOCKET"
+    resource = "TCPIP::192.0.2.5::9888::SOCKET"
     timeout_s = 3.0
     serial = SerialSettings()
 

@@ -1,37 +1,32 @@
-"""The composition root: every driver meets its simulation on a wire, in one world, with its faults."""
+"""The composition root: every driver meets its simulation on a wire, in one world."""
 
 import inspect
 import json
 import math
 import os
 import socket
-from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
+from composed_bench import composing, edited, read
 
 from bench import compose_drivers, compose_simulation
 from bench.bench_chambers import EspecSection, ThermotronSection, WatlowF4TSection
 from bench.bench_file import load_bench
 from bench.bench_heads import AcutrolSection, ZaberSection
-from bench.bench_simulation import FaultSection, FaultWord
 from bench.bench_voltmeters import VOLTMETERS, Keysight34970ASection
 from bench.bench_wires import bus_place
-from bench.compose import dry_bench, served_bench
+from bench.compose import served_bench
 from bench.compose_simulation import on_terminals
 from bench.model import ForwardModel
 from bench.shipped import find_bench
 from drivers.acutrol import AcutrolHead
 from drivers.espec import EspecChamber
 from drivers.interfaces import (
-    BadReading,
-    BenchError,
     InstrumentRefused,
     LimitExceeded,
     Prompt,
     PromptKind,
-    VoltmeterSettings,
 )
 from drivers.keysight_34970a import Keysight34970A
 from drivers.motion import Travel
@@ -40,10 +35,8 @@ from drivers.thermotron import ThermotronChamber
 from drivers.watlow_f4t import WatlowF4TChamber
 from drivers.wire_causes import WireError
 from drivers.zaber import SERIAL, ZaberHead
-from sim.faults import Fault, FaultKind
 from sim.terminal import TERMINALS
 
-READING = VoltmeterSettings(10.0, 1.0, 3)
 THERMOTRON = """\
   chamber:
     driver: thermotron
@@ -58,39 +51,8 @@ RIGHT_ANGLE_RAD = math.pi / 2
 
 @pytest.fixture
 def composed(tmp_path):
-    """Return the bench of a shipped file with changes of its text, and a dry run's assembly of it."""
-    stack = ExitStack()
-
-    def compose(name, *changes, seed=1):
-        bench = edited(tmp_path, name, *changes)
-        assembly = stack.enter_context(dry_bench(bench, ForwardModel(bench.installation_models()), seed))
-        stack.callback(assembly.instruments.leave_safe)
-        return bench, assembly
-
-    with stack:
+    with composing(tmp_path) as compose:
         yield compose
-
-
-def edited(folder, name, *changes):
-    text = find_bench(name).read_text(encoding="utf-8")
-    for old, new in changes:
-        assert old in text, old
-        text = text.replace(old, new)
-    path = folder / "bench.yaml"
-    path.write_text(text, encoding="utf-8")
-    return load_bench(path)
-
-
-def read(instruments, settings=READING):
-    """Return the mean of each signal, V."""
-    for meter in instruments.voltmeters:
-        meter.configure(settings)
-    for meter in instruments.voltmeters:
-        meter.start()
-    fetched = {}
-    for meter in instruments.voltmeters:
-        fetched |= meter.fetch()
-    return np.array([np.mean(fetched[channel]) for channel in "xyz"])
 
 
 # --- tables -----------------------------------------------------------------------------------------
@@ -135,13 +97,13 @@ def test_a_zaber_port_is_as_delivered():
 @pytest.mark.parametrize(
     "resource",
     [
-        "prologix://192.168.1.10:1234/22",
-        "prologix://192.168.1.10/0",
+        "prologix://192.0.2.10:1234/22",
+        "prologix://192.0.2.10/0",
         "prologix:///dev/ttyUSB0/30",
         "prologix://COM3/22",
-        "prologix://192.168.1.10/31",
-        "prologix://192.168.1.10",
-        "prologix:/192.168.1.10/22",
+        "prologix://192.0.2.10/31",
+        "prologix://192.0.2.10",
+        "prologix:/192.0.2.10/22",
         "GPIB0::22::INSTR",
     ],
 )
@@ -327,107 +289,6 @@ steps:
         assert [float(row[f"u{c}_v"]) for c in "xyz"] == pytest.approx([volts] * 3, abs=4e-4)
         assert row["angle_deg"] == ""
     assert abs(float(told[2]["ux_v"])) > 2.0
-
-
-# --- faults -----------------------------------------------------------------------------------------
-
-
-def faults(*written):
-    """Return the change of a bench file's text that adds faults; the file has no simulation yet."""
-    return "verification:\n", f"simulation: {{faults: [{', '.join(written)}]}}\nverification:\n"
-
-
-def test_the_kinds_of_faults_are_those_of_the_simulation():
-    assert set(FaultWord.__args__) == {kind.value for kind in FaultKind}
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        {"fault": "cut", "probability": "0.01"},
-        {"fault": "drop", "at": "17", "instrument": "voltmeter.y"},
-        {"fault": "late", "matching": "READ?", "seconds": "2"},
-        {"fault": "error", "at": "3", "error": "-113"},
-        {"fault": "hang", "at": "1"},
-        {"fault": "cut"},
-        {"fault": "cut", "at": "0"},
-        {"fault": "cut", "at": "1.5"},
-        {"fault": "cut", "at": "1", "probability": "0.1"},
-        {"fault": "cut", "probability": "1.1"},
-        {"fault": "cut", "probability": "nan"},
-        {"fault": "cut", "at": "1", "seconds": "1"},
-        {"fault": "late", "at": "1"},
-        {"fault": "late", "at": "1", "seconds": "-1"},
-        {"fault": "silence", "at": "1", "error": "-113"},
-        {"fault": "sulk", "at": "1"},
-        {"fault": "cut", "when": "1"},
-    ],
-)
-def test_a_bench_file_takes_the_faults_that_the_simulation_takes(data):
-    try:
-        fault = Fault.parse(data)
-    except ValueError:
-        with pytest.raises(ValidationError):
-            FaultSection.model_validate(data)
-    else:
-        assert Fault.parse(FaultSection.model_validate(data).to_plain()) == fault
-
-
-def test_a_fault_of_the_bench_file_strikes_the_instrument_that_it_names(composed):
-    _, assembly = composed(
-        "bench-lan", faults('{fault: garble, instrument: voltmeter.y, matching: "FETC?", at: 2}')
-    )
-    assembly.instruments.open()
-    read(assembly.instruments)
-    with pytest.raises(BadReading, match=r"voltmeter\.y: the reply to FETC\?"):
-        read(assembly.instruments)
-
-
-def test_a_fault_of_a_meter_behind_an_adapter_strikes_that_meter(composed):
-    _, assembly = composed(
-        "bench-prologix",
-        faults("{fault: error, instrument: voltmeter.y, matching: INIT, at: 2, error: -213}"),
-    )
-    assembly.instruments.open()
-    read(assembly.instruments)
-    with pytest.raises(InstrumentRefused, match=r"voltmeter\.y.*-213"):
-        read(assembly.instruments)
-
-
-@pytest.mark.parametrize(
-    ("name", "fault", "says"),
-    [
-        (
-            "bench-prologix",
-            "{fault: cut, instrument: voltmeter.y, at: 1}",
-            "simulation: voltmeter.y has no wire of its own; 'cut' is for its adapter; mend the faults",
-        ),
-        (
-            "bench-rate-table",
-            "{fault: overload, instrument: chamber, at: 1}",
-            "chamber has no input to overload",
-        ),
-    ],
-)
-def test_a_fault_that_cannot_be_is_one_sentence(composed, name, fault, says):
-    with pytest.raises(BenchError) as error:
-        composed(name, faults(fault))
-    assert says in str(error.value)
-
-
-def test_a_dropped_adapter_is_told_and_found_again(composed):
-    _, assembly = composed(
-        "bench-prologix", faults('{fault: drop, instrument: adapter, matching: "++read", at: 9}')
-    )
-
-    def open_often():
-        for _ in range(9):
-            assembly.instruments.open()
-
-    with pytest.raises(BenchError, match="broke the connection"):
-        open_often()
-    assembly.instruments.open()
-    assert np.abs(read(assembly.instruments)).max() > 2.0
 
 
 # --- served to other programs -----------------------------------------------------------------------

@@ -53,7 +53,7 @@ class Script:
     """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
 
     name = "voltmeter.x"
-    resource = "TCPIP::192.168.1.5::5025::SOCKET"
+    resource = "TCPIP::192.0.2.5::5025::SOCKET"
     timeout_s = 3.0
     serial = SerialSettings()
     connection: int | None = None

@@ -61,7 +61,7 @@ class Clock:
 class Script:
     """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
 
-    resource = "TCPIP::192.168.1.5::5025::SOCKET"
+    resource = "TCPIP::192.0.2.5::5025::SOCKET"
     timeout_s = 3.0
     serial = SerialSettings()
 

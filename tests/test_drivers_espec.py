@@ -167,6 +167,7 @@ def test_the_world_follows_the_chamber() -> None:
         assert world.chamber_c == pytest.approx(23.0)
         with pytest.raises(InstrumentRefused, match="more than 2 °C from the 60 °C demanded"):
             c.temperature("2/read")
+        assert c.temperature("2/settle", settling=True) < 30.0  # on its way: no error while it settles
         world.clock.sleep(3 * 3600.0)
         assert c.temperature("3/read") == 60.0
         assert world.block_c == pytest.approx(60.0, abs=0.01)

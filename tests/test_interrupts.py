@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bench.interrupts import Interrupts
@@ -78,6 +79,36 @@ def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
         assert history.state == "interrupted"
         assert "readings are kept in runs/hit; go on with 'bench resume hit'" in err
         assert "Traceback" not in err
+
+
+def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
+    """Three SIGKILLs, each while the run is under way; the readings are those of an undisturbed run."""
+    (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 12"))
+    command = [sys.executable, "-c", "from bench.cli import main; main()"]
+
+    def begin(*arguments):
+        return subprocess.Popen(  # noqa: S603 - our own program
+            [*command, *arguments], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+
+    begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "whole").wait(timeout=60)
+    whole = Run(tmp_path / "runs/whole").readings()
+    events = tmp_path / "runs/hit/events.jsonl"
+    process = begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "hit")
+    for size in (20_000, 60_000, 110_000):
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and not (events.exists() and events.stat().st_size > size):
+            time.sleep(0.005)
+        process.kill()
+        process.wait(timeout=30)
+        process = begin("resume", "hit")
+    process.wait(timeout=60)
+    run = Run(tmp_path / "runs/hit")
+    assert run.history.state == "finished"
+    steps = [e.data["step"] for e in run.history.events if "reading" in e.data]
+    assert len(steps) == len(set(steps)) == len(whole)
+    for column in ("signal", "angle_rad", "time_s"):
+        assert np.array_equal(getattr(run.readings(), column), getattr(whole, column))
 
 
 def test_a_run_is_paused_and_aborted_from_another_program(tmp_path):

@@ -84,7 +84,7 @@ def resource(bench: SimulatedBench, address: int) -> str:
 @pytest.mark.parametrize(
     ("resource", "link", "address"),
     [
-        ("prologix://192.168.1.10:1234/22", "TCPIP0::192.168.1.10::1234::SOCKET", 22),
+        ("prologix://192.0.2.10:1234/22", "TCPIP0::192.0.2.10::1234::SOCKET", 22),
         ("prologix://gpib-adapter/9", "TCPIP0::gpib-adapter::1234::SOCKET", 9),
         ("prologix:///dev/ttyUSB0/0", "ASRL/dev/ttyUSB0::INSTR", 0),
         ("prologix:///dev/serial/by-id/usb-Prologix/30", "ASRL/dev/serial/by-id/usb-Prologix::INSTR", 30),
@@ -100,7 +100,7 @@ def test_a_resource_names_adapter_and_address(resource: str, link: str, address:
     ["prologix://host:1234", "prologix://host/31", "prologix://host/x", "prologix:host/22", "prologix:///22"],
 )
 def test_a_resource_of_another_form_says_how_to_write_it(resource: str) -> None:
-    with pytest.raises(WireError, match=r"prologix://192\.168\.1\.10:1234/22"):
+    with pytest.raises(WireError, match=r"prologix://192\.0\.2\.10:1234/22"):
         parse(resource)
     with pytest.raises(InstrumentLost, match="not an address that can be understood; write it like"):
         MessageSession("v", resource).open()

@@ -21,6 +21,7 @@ from drivers.interfaces import (
     HeadPosition,
     Identity,
     InstrumentLost,
+    LimitExceeded,
     NotConnected,
     PromptKind,
 )
@@ -440,6 +441,28 @@ def test_a_chamber_is_made_safe_on_every_way_out(tmp_path):
         record.close()
         assert chamber.calls[-2:] == ["safe", "close"]
         assert recorded(tmp_path / name)[0].events[-1].data == {"to_do": {"chamber": "open the door"}}
+
+
+def test_a_block_that_is_too_hot_stops_the_run(tmp_path):
+    class Oven:
+        name, asks_person = "chamber", False
+
+        def open(self):
+            return Identity("maker", "chamber")
+
+        def close(self): ...
+
+        def make_safe(self):
+            return ""
+
+        def temperature(self, key):
+            return 23.0 if key < "r2" else 75.0
+
+    runner = make_runner(Bench(), new_record(tmp_path), block_limits_c=(-40.0, 60.0))
+    together = Instruments(runner.instruments.voltmeters, runner.instruments.head, Oven())
+    with pytest.raises(LimitExceeded, match="75 °C"):
+        dataclasses.replace(runner, instruments=together).run()
+    assert recorded(tmp_path / "run")[1] == ["r11", "r12", "r13"]
 
 
 def test_the_table_of_transitions_has_no_dead_end_but_the_two_ends():

@@ -59,6 +59,11 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
                 controls=ControlFile(run.folder),
                 progress=Progress.of(history) if history else Progress(),
                 watch=_watch(run, bench, history),
+                block_limits_c=(
+                    bench.unit_under_test.temperature.minimum,
+                    bench.unit_under_test.temperature.maximum,
+                ),
+                on_settling=bar.settling,
             ).run(resume)
     except RunAborted as why:
         raise CommandError(f"aborted{': ' if str(why) else ''}{why}; {_recorded(run)}") from None
