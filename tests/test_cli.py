@@ -234,3 +234,13 @@ def test_a_file_where_nothing_can_be_written_beside_it_still_calibrates(bench, m
     assert status == 0
     assert "is not written" in err
     assert bench("calibrate", "r.csv", "--out", "calibrate")[0] == 2
+
+
+def test_check_opens_the_instruments_only_when_asked(bench):
+    """The shipped bench has its meters on a GPIB board, which a machine without one says at once."""
+    assert bench("check", "quick")[0] == 0
+    status, out, err = bench("check", "quick", "--instruments", "--bench", "paper-stand")
+    assert status == 2
+    assert "no mistakes found" in out
+    assert all(f"voltmeter.{channel}" in err for channel in "xyz")
+    assert "Traceback" not in err

@@ -101,6 +101,19 @@ def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, capsys):
     assert run.readings().point.tolist() == [1, 2]
 
 
+def test_a_bench_file_changed_since_is_told_and_asked_about(served, capsys):
+    start(capsys, answers="yes\n23\n0 0 2\n")
+    Path("bench.yaml").write_text(
+        Path("bench.yaml").read_text().replace("limit: 5 arcsec", "limit: 50 arcsec")
+    )
+    status, out, err = command(capsys, "resume", "run", answers="no\n")
+    assert status == 2
+    assert "bench.yaml was changed since the run began" in out
+    assert "answered no" in err
+    assert command(capsys, "resume", "run", answers="yes\nuntouched\n89 59 58\n")[0] == 0
+    assert Run(Path("runs/run")).history.state == "finished"
+
+
 def test_an_absent_meter_is_one_sentence(served, capsys):
     resources = list(served.resources.values())
     with socket.create_server(("127.0.0.1", 0)) as listener:

@@ -9,6 +9,7 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bench.asking import confirm
 from bench.bench_file import load_bench
 from bench.commands import CommandError, printing
 from bench.commands.carrying_out import carry_out, conclude
@@ -22,8 +23,10 @@ from bench.record import Record, RecordError, is_being_written
 from bench.run_folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.shipped import find_procedure
 from bench.states import ENDED
+from bench.terminal import TerminalPerson
 from bench.wire_log import logged_wire
 from drivers.clock import utc_now
+from drivers.interfaces import Prompt, PromptKind
 
 
 @dataclass(frozen=True)
@@ -98,14 +101,29 @@ def _included(procedure: Procedure) -> dict[str, bytes]:
 def resume(name: str | None, runs: Path, wire_log: Path | None = None) -> int:
     """Carry out `bench resume`."""
     found = _unfinished(name, runs)
-    for change in changed_since(found):
-        printing.console().print(f"note: {change}; the run goes on with the copy in its folder")
+    _accept_changes(found)
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
         if history.torn:
             print("note: the last line of the record was half written and is dropped", file=sys.stderr)
         carry_out(found, record, history, wire)
     return conclude(Run(found.folder))
+
+
+def _accept_changes(run: Run) -> None:
+    """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
+    changes = changed_since(run)
+    out = printing.console()
+    for change in changes:
+        out.print(f"note: {change}; the run goes on with the copy in its folder")
+    if changes and not run.simulated:
+        prompt = Prompt(
+            id="changed",
+            kind=PromptKind.CONFIRM,
+            text="Go on as the run was begun, without these changes?",
+            action={"do": "answer"},
+        )
+        confirm(TerminalPerson(sys.stdin, out), prompt)
 
 
 def changed_since(run: Run) -> list[str]:
