@@ -155,6 +155,12 @@ def test_coefficients_that_are_no_numbers_are_refused(bench, measured):
     assert "no number" in err
 
 
+def test_coefficients_of_a_simulation_are_told_from_those_of_a_block(bench, measured):
+    write_csv(measured, Path("r.csv"))
+    assert "simulated" in bench("verify", "r.csv", "--coefficients", "runs/good/calibrate.json")[2]
+    assert bench("verify", "good", "--coefficients", "runs/good/calibrate.json")[2] == ""
+
+
 def test_a_dead_channel_is_named(bench, measured):
     write_csv(replace(measured, signal=measured.signal * [1, 1, 0]), Path("dead.csv"))
     status, _, err = bench("calibrate", "dead.csv")

@@ -103,6 +103,8 @@ def verification_of(
     limit = source.bench.verification_limit_g if limit_g is None else limit_g
     if coefficients is not None:
         taken = read_coefficients(coefficients, source.readings.unit)
+        if taken.simulated and not source.simulated:
+            _notes_to_stderr((f"the coefficients in {coefficients} were found on simulated instruments",))
     else:
         own = calibration or calibration_of(source)
         taken = Coefficients(own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit)

@@ -17,13 +17,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Coefficients:
-    """A block with its covariance (12, 12), the noise of a reading, the gravity that is its unit (m/s²)."""
+    """A block with its covariance (12, 12), the noise of a reading, the gravity that is its unit (m/s²).
+
+    `simulated` tells that they were found on simulated instruments.
+    """
 
     block: Block
     covariance: Floats
     noise: float
     g_m_s2: float
     unit: str
+    simulated: bool = False
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
@@ -51,4 +55,5 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     numbers = [*values, *covariance.ravel(), noise, g_m_s2]
     if not np.all(np.isfinite(numbers)) or np.any(np.diag(covariance) < 0) or noise < 0 or g_m_s2 <= 0:
         raise CommandError(f"{path}: holds what is no number, or a negative variance; calibrate again")
-    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs)
+    simulated = bool(data.get("simulated", False))
+    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
