@@ -25,8 +25,8 @@ from sim.terminal import TERMINALS
 
 
 @contextmanager
-def serving(**options: Any) -> Iterator[Any]:
-    bench = load_bench(find_bench("paper-stand"))
+def serving(name: str = "paper-stand", **options: Any) -> Iterator[Any]:
+    bench = load_bench(find_bench(name))
     with served_bench(bench, ForwardModel(bench.installation_models()), 1, speed=1e4, **options) as told:
         yield told
 
@@ -144,10 +144,17 @@ def test_ports_follow_each_other_and_no_terminals_are_made_unasked() -> None:
         assert {instrument["pty"] for instrument in told.instruments} == {None}
 
 
-def test_the_meters_are_as_the_bench_file_says_and_one_world_couples_them() -> None:
+def test_a_meter_is_a_lan_one_unless_the_bench_file_says_another() -> None:
+    with serving() as told:
+        assert ask(told.instruments[0]["tcp"], "SYST:REM;:SYST:ERR?") == ['+0,"No error"']
+    with serving("bench-gpib") as told:
+        answer = ask(told.instruments[0]["tcp"], "SYST:REM;:SYST:ERR?")
+        assert answer == ['+514,"Command allowed only with RS-232"']
+
+
+def test_one_world_couples_the_meters() -> None:
     with serving() as told:
         meters = [instrument["tcp"] for instrument in told.instruments]
-        assert ask(meters[0], "SYST:REM;:SYST:ERR?") == ['+514,"Command allowed only with RS-232"']
         control(told, "turn 90 deg")
         at_90 = [float(ask(meter, "CONF:VOLT:DC 10;:READ?")[0]) for meter in meters]
         state = control(told, "turn 0")
