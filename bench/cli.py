@@ -78,21 +78,27 @@ def run(
     operator: Annotated[str, typer.Option(help="Who stands at the bench, for the record.")] = "",
     model: ModelOption = None,
     wire_log: WireLogOption = None,
+    json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
     """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
     from bench.commands import execute
 
-    request = execute.Request(procedure, bench, dry_run, seed, name, operator, model, runs, wire_log)
+    request = execute.Request(procedure, bench, dry_run, seed, name, operator, model, runs, wire_log, json)
     return execute.run(request)
 
 
 @app.command(epilog="Example: bench resume unit-17")
-def resume(name: LatestRun = None, wire_log: WireLogOption = None, runs: RunsOption = RUNS) -> int:
+def resume(
+    name: LatestRun = None,
+    wire_log: WireLogOption = None,
+    json: JsonOption = None,
+    runs: RunsOption = RUNS,
+) -> int:
     """Go on with an interrupted run at the first point without a reading."""
     from bench.commands import execute
 
-    return execute.resume(name, runs, wire_log)
+    return execute.resume(name, runs, wire_log, json)
 
 
 @app.command(epilog="Example: bench abort unit-17")
@@ -238,6 +244,7 @@ def report(
     bench: BenchOption = None,
     model: ModelOption = None,
     g: GravityOption = None,
+    json: JsonOption = None,
     out: OutOption = None,
     skip_bad_rows: SkipOption = False,
     runs: RunsOption = RUNS,
@@ -245,7 +252,7 @@ def report(
     """Write the report of a run: one HTML page."""
     from bench.commands import analyse
 
-    return analyse.report(analyse.Request([source], runs, bench, model, g, out, skip_bad_rows))
+    return analyse.report(analyse.Request([source], runs, bench, model, g, out, skip_bad_rows), json)
 
 
 @app.command(epilog="Example: bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")

@@ -244,3 +244,15 @@ def test_check_opens_the_instruments_only_when_asked(bench):
     assert "no mistakes found" in out
     assert all(f"voltmeter.{channel}" in err for channel in "xyz")
     assert "Traceback" not in err
+
+
+def test_run_and_report_give_json_on_standard_output_alone(bench):
+    status, out, err = bench("run", "quick", "--dry-run", "--name", "j", "--json", "-")
+    assert status == 0
+    told = json.loads(out)
+    assert told["run"] == "j"
+    assert told["verification"]["passed"] is True
+    assert told["calibration"]["order"][0] == "Kxx"
+    assert "PASSED" in err  # what a person reads goes beside it
+    told = json.loads(bench("report", "j", "--json", "-")[1])
+    assert Path(told["report"]).is_file()

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from bench.calibration import Calibration, CalibrationError, Verification, implausible
 from bench.calibration import calibrate as estimate
 from bench.calibration import verify as check
@@ -63,12 +65,16 @@ def verify(request: Request, coefficients: Path | None, limit_g: float | None, t
     return 0 if all(result.passed for result in results) else 1
 
 
-def report(request: Request) -> int:
+def report(request: Request, target: str | None) -> int:
     """Carry out `bench report`; the exit status is that of the verification in it."""
+    check_target(target)
     (source,) = load_sources(request)
-    verdict = write_report(source, calibration_of(source))
+    out = printing.console(json=target)
+    verdict = write_report(source, calibration_of(source), out)
     if verdict is not None:
-        printing.verdict(source.name, verdict)
+        printing.verdict(source.name, verdict, out)
+    page = str(source.output("report", ".html"))
+    write_json([{"report": page, "verification": verdict and verdict.to_json()}], target)
     return 0 if verdict is None or verdict.passed else 1
 
 
@@ -123,7 +129,7 @@ def _notes_to_stderr(notes: tuple[str, ...]) -> None:
         print(f"note: {note}", file=sys.stderr)
 
 
-def write_report(source: Source, calibration: Calibration) -> Verification | None:
+def write_report(source: Source, calibration: Calibration, out: Console | None = None) -> Verification | None:
     """Verify and write the page of a source; return the verification where there is one. Raises `OSError`."""
     from bench.commands.provenance import provenance
     from bench.report import ReportContent, render_report
@@ -145,7 +151,7 @@ def write_report(source: Source, calibration: Calibration) -> Verification | Non
     file = source.output("report", ".html")
     file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, render_report(content))
-    printing.written("report", file)
+    printing.written("report", file, out)
     return verdict
 
 

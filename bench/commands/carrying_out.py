@@ -9,10 +9,12 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
+from rich.console import Console
+
 from bench.bench_file import BenchFile, load_bench
 from bench.calibration import CalibrationError
 from bench.commands import CommandError, analyse, printing
-from bench.commands.source import Request, load_sources, to_text, write_whole
+from bench.commands.source import Request, load_sources, to_text, write_json, write_whole
 from bench.compose import Assembly, dry_bench, real_bench
 from bench.control import ControlFile
 from bench.early_warning import EarlyWarning
@@ -31,14 +33,16 @@ from drivers.clock import utc_now
 from drivers.interfaces import BenchError
 
 
-def carry_out(run: Run, record: Record, history: History | None, wire: WireLog | None) -> None:
+def carry_out(
+    run: Run, record: Record, history: History | None, wire: WireLog | None, target: str | None = None
+) -> None:
     """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed."""
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
     bench = load_bench(run.folder / BENCH)
     where = "simulated instruments" if run.simulated else "the bench"
-    out = printing.console()
+    out = printing.console(json=target)
     verb = "goes on" if resume else "starts"
     out.print(
         f"run {run.name} {verb} on {where}: {run.plan.name}, {len(run.plan.steps)} steps, "
@@ -46,7 +50,7 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
     )
     out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
-        with _assembly(run, bench, wire) as (assembly, bar):
+        with _assembly(run, bench, wire, out) as (assembly, bar):
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -76,9 +80,10 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
 
 
 @contextmanager
-def _assembly(run: Run, bench: BenchFile, wire: WireLog | None) -> Iterator[tuple[Assembly, ProgressBar]]:
+def _assembly(
+    run: Run, bench: BenchFile, wire: WireLog | None, out: Console
+) -> Iterator[tuple[Assembly, ProgressBar]]:
     """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
-    out = printing.console()
     bar = ProgressBar(run.plan, out, step_durations(run.plan))
     with bar:
         if run.simulated:
@@ -141,8 +146,10 @@ def _kept(run: Run) -> str:
     return f"{_recorded(run)}; go on with 'bench resume {run.name}'"
 
 
-def conclude(run: Run) -> int:
+def conclude(run: Run, target: str | None = None) -> int:
     """Calibrate, verify and report a finished run; 1 when the verification failed.
+
+    `target` is where the whole result goes as JSON: null stands for a calibration or verdict that is not.
 
     A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
     """
@@ -156,19 +163,30 @@ def conclude(run: Run) -> int:
         skip_bad_rows=False,
     )
     (source,) = load_sources(request)
+    out = printing.console(json=target)
+    result: dict[str, Any] = {
+        "run": run.name,
+        "folder": str(run.folder),
+        "calibration": None,
+        "verification": None,
+    }
     try:
         calibration = analyse.calibration_of(source)
     except CalibrationError as reason:
-        printing.console().print(f"the run is finished; no calibration from it: {reason}")
+        out.print(f"the run is finished; no calibration from it: {reason}")
+        write_json([result], target)
         return 0
     file = source.output("calibrate", ".json")
-    printing.calibration(source, calibration, analyse.doubts_of(source, calibration), file)
-    write_whole(file, to_text(analyse.calibration_json(source, calibration)))
-    verdict = analyse.write_report(source, calibration)
+    printing.calibration(source, calibration, analyse.doubts_of(source, calibration), file, out)
+    result["calibration"] = analyse.calibration_json(source, calibration)
+    write_whole(file, to_text(result["calibration"]))
+    verdict = analyse.write_report(source, calibration, out)
     if verdict is None:
-        printing.console().print("no verification points in this procedure: no verdict")
-        return 0
-    file = source.output("verify", ".json")
-    write_whole(file, to_text(verdict.to_json()))
-    printing.verification(source, verdict, file)
-    return 0 if verdict.passed else 1
+        out.print("no verification points in this procedure: no verdict")
+    else:
+        file = source.output("verify", ".json")
+        result["verification"] = verdict.to_json()
+        write_whole(file, to_text(result["verification"]))
+        printing.verification(source, verdict, file, out)
+    write_json([result], target)
+    return 0 if verdict is None or verdict.passed else 1

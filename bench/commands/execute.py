@@ -14,7 +14,7 @@ from bench.bench_file import load_bench
 from bench.commands import CommandError, printing
 from bench.commands.carrying_out import carry_out, conclude
 from bench.commands.provenance import versions
-from bench.commands.source import bench_path
+from bench.commands.source import bench_path, check_target
 from bench.control import SIGN, leave_wish, parse_wish
 from bench.interrupts import Interrupts
 from bench.model_file import load_model
@@ -42,10 +42,12 @@ class Request:
     model: Path | None
     runs: Path
     wire_log: Path | None = None
+    json: str | None = None
 
 
 def run(request: Request) -> int:
     """Carry out `bench run`."""
+    check_target(request.json)
     if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
         raise CommandError(
             "a run on real instruments needs a bench file: say --bench FILE (or set BENCH_FILE), "
@@ -87,8 +89,8 @@ def run(request: Request) -> int:
     }
     with logged_wire(request.wire_log) as wire, Interrupts() as interrupts:
         record = Record.create(request.runs / name, manifest, inputs, utc_now, interrupts.shield)
-        carry_out(Run(request.runs / name), record, None, wire)
-    return conclude(Run(request.runs / name))
+        carry_out(Run(request.runs / name), record, None, wire, request.json)
+    return conclude(Run(request.runs / name), request.json)
 
 
 def _included(procedure: Procedure) -> dict[str, bytes]:
@@ -98,22 +100,23 @@ def _included(procedure: Procedure) -> dict[str, bytes]:
     }
 
 
-def resume(name: str | None, runs: Path, wire_log: Path | None = None) -> int:
+def resume(name: str | None, runs: Path, wire_log: Path | None = None, target: str | None = None) -> int:
     """Carry out `bench resume`."""
+    check_target(target)
     found = _unfinished(name, runs)
-    _accept_changes(found)
+    _accept_changes(found, target)
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
         if history.torn:
             print("note: the last line of the record was half written and is dropped", file=sys.stderr)
-        carry_out(found, record, history, wire)
-    return conclude(Run(found.folder))
+        carry_out(found, record, history, wire, target)
+    return conclude(Run(found.folder), target)
 
 
-def _accept_changes(run: Run) -> None:
+def _accept_changes(run: Run, target: str | None) -> None:
     """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
     changes = changed_since(run)
-    out = printing.console()
+    out = printing.console(json=target)
     for change in changes:
         out.print(f"note: {change}; the run goes on with the copy in its folder")
     if changes and not run.simulated:

@@ -14,15 +14,27 @@ from bench.model.block import COEFFICIENTS
 from bench.report.numbers import fixed, places, scale_for
 
 
-def console() -> Console:
-    """Return the console for results; wide enough that no table is cut when the output is a file."""
-    out = Console(highlight=False, soft_wrap=True, markup=False)
-    return out if out.is_terminal else Console(highlight=False, soft_wrap=True, markup=False, width=120)
+def console(*, json: str | None = None) -> Console:
+    """Return the console for results; wide enough that no table is cut when the output is a file.
+
+    Where `json` goes to standard output ("-"), what is written for a person goes to standard error.
+    """
+    aside = json == "-"
+    out = Console(highlight=False, soft_wrap=True, markup=False, stderr=aside)
+    if out.is_terminal:
+        return out
+    return Console(highlight=False, soft_wrap=True, markup=False, stderr=aside, width=120)
 
 
-def calibration(source: Source, result: Calibration, doubts: tuple[str, ...], file: Path | None) -> None:
+def calibration(
+    source: Source,
+    result: Calibration,
+    doubts: tuple[str, ...],
+    file: Path | None,
+    out: Console | None = None,
+) -> None:
     """Print the coefficients, the noise and the fit; `doubts` say why the block may not be the one announced."""
-    out = console()
+    out = out or console()
     readings = f"{len(result.fitted)} readings"
     if result.skipped:
         readings += f", {result.skipped} bad rows skipped"
@@ -53,7 +65,7 @@ def calibration(source: Source, result: Calibration, doubts: tuple[str, ...], fi
     for sentence in result.assumed:
         out.print(f"assumed: {sentence}")
     if file is not None:
-        written("result", file)
+        written("result", file, out)
 
 
 def coefficient_table(result: Calibration) -> Table:
@@ -82,9 +94,9 @@ def _limits(noise: Noise) -> str:
     return f" (95 %: {low:.2g} to {high:.2g})"
 
 
-def verification(source: Source, result: Verification, file: Path | None) -> None:
+def verification(source: Source, result: Verification, file: Path | None, out: Console | None = None) -> None:
     """Print Δg at each verification point and the verdict."""
-    out = console()
+    out = out or console()
     table = Table(box=None, pad_edge=False)
     for heading in ("verification point", "angle", "Δg", "u", ""):
         table.add_column(heading, justify="left" if heading in {"verification point", ""} else "right")
@@ -100,21 +112,21 @@ def verification(source: Source, result: Verification, file: Path | None) -> Non
     for note in (*source.readings.notes, *source.readings.skipped):
         out.print(f"note: {note}")
     if file is not None:
-        written("result", file)
-    verdict(source.name, result)
+        written("result", file, out)
+    verdict(source.name, result, out)
 
 
-def verdict(name: str, result: Verification) -> None:
+def verdict(name: str, result: Verification, out: Console | None = None) -> None:
     """Print the verdict in one line."""
     worst = max(result.points, key=lambda p: abs(p.delta_g))
     missing = f"; {result.missing} verification points are missing" if result.missing else ""
-    console().print(
+    (out or console()).print(
         f"{name}: {'PASSED' if result.passed else 'FAILED'}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
         f"± {worst.u * 1e6:.1f} µg (u), limit {result.limit_g * 1e6:.0f} µg, rule: {result.rule}{missing}",
         style="bold",
     )
 
 
-def written(what: str, file: Path) -> None:
+def written(what: str, file: Path, out: Console | None = None) -> None:
     """Say where a file was written."""
-    console().print(f"{what}: {file}")
+    (out or console()).print(f"{what}: {file}")
