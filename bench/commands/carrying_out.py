@@ -14,7 +14,7 @@ from rich.console import Console
 from bench.bench_file import BenchFile, load_bench
 from bench.calibration import CalibrationError
 from bench.commands import CommandError, analyse, printing
-from bench.commands.source import Request, load_sources, to_text, write_json, write_whole
+from bench.commands.source import Request, Source, load_sources, to_text, write_json, write_whole
 from bench.compose import Assembly, dry_bench, real_bench
 from bench.control import ControlFile
 from bench.early_warning import EarlyWarning
@@ -163,6 +163,17 @@ def conclude(run: Run, target: str | None = None) -> int:
         skip_bad_rows=False,
     )
     (source,) = load_sources(request)
+    try:
+        return _draw(run, source, target)
+    except OSError as error:
+        raise CommandError(
+            f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
+            f"then 'bench report {run.name}' makes it again"
+        ) from error
+
+
+def _draw(run: Run, source: Source, target: str | None) -> int:
+    """Draw the results from a finished run and write them into its folder. Raises `OSError`."""
     out = printing.console(json=target)
     result: dict[str, Any] = {
         "run": run.name,

@@ -151,14 +151,14 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all. Raises `OSError`."""
+    """Write a file so that it is there whole or not at all. Raises `OSError` that names it."""
     half = path.with_name(path.name + ".part")
     try:
         half.write_text(text, encoding="utf-8", newline="")
         half.replace(path)
-    except OSError:
+    except OSError as error:
         half.unlink(missing_ok=True)
-        raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def write_beside(path: Path, text: str, *, asked: bool) -> bool:
