@@ -154,9 +154,9 @@ class Calibration:
             "model": self.model,
         }
 
-    def _setting_limits_arcsec(self) -> list[float] | None:
+    def _setting_limits_arcsec(self) -> list[float | None] | None:
         limits = self.noise.setting_limits_rad
-        return None if limits is None else [limit / ARCSEC for limit in limits]
+        return None if limits is None else [_number(limit / ARCSEC) for limit in limits]
 
 
 def _number(value: float) -> float | None:
