@@ -1,0 +1,54 @@
+"""The command line's application object, and the options that commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="bench",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Calibrates triaxial accelerometer blocks on a dividing head.",
+    epilog="Exit status: 0 done and accepted, 1 done and not accepted, 2 could not be done.",
+)
+
+BenchOption = Annotated[
+    str | None,
+    typer.Option("--bench", metavar="FILE", help="Bench file, by path or name (default: BENCH_FILE)."),
+]
+RunsOption = Annotated[
+    Path, typer.Option("--runs", metavar="DIR", envvar="BENCH_RUNS", help="Folder in which runs live.")
+]
+JsonOption = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is standard output.")
+]
+ModelOption = Annotated[
+    Path | None, typer.Option("--model", metavar="FILE", help="Model file: effects beside the paper's terms.")
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Where to write what is derived from a file.")
+]
+SkipOption = Annotated[bool, typer.Option("--skip-bad-rows", help="Leave out rows that cannot be read.")]
+WireLogOption = Annotated[
+    Path | None,
+    typer.Option("--wire-log", metavar="FILE", help="Write every message to and from the instruments."),
+]
+GravityOption = Annotated[
+    float | None,
+    typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),
+]
+Sources = Annotated[
+    list[str], typer.Argument(metavar="SOURCE…", help="Runs (name or path) or readings files.")
+]
+ProcedureArgument = Annotated[str, typer.Argument(help="Procedure file, by path or shipped name.")]
+RunArgument = Annotated[str, typer.Argument(help="Run, by name or path.")]
+LatestRun = Annotated[
+    str | None, typer.Argument(help="Run, by name or path; the latest unfinished if left out.")
+]
+
+RUNS = Path("runs")
