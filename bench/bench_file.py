@@ -21,6 +21,7 @@ from bench.bench_sections import (
     VerificationSection,
 )
 from bench.bench_simulation import SimulationSection
+from bench.bench_uncertainty import UncertaintySection
 from bench.bench_voltmeters import VOLTMETERS
 from bench.gravity import normal_gravity_m_s2
 from bench.model import STAND_ANGLES, AppliedEffect, Block, Distribution, Installation
@@ -48,6 +49,7 @@ class BenchFile(FileModel):
     installations: Annotated[dict[str, InstallationSection], Field(default_factory=dict)]
     unit_under_test: UnitUnderTest
     verification: VerificationSection
+    uncertainty: UncertaintySection = UncertaintySection()
     effects: tuple[EffectEntry, ...] = ()
     simulation: SimulationSection = SimulationSection()
 
@@ -62,7 +64,9 @@ class BenchFile(FileModel):
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
         """Yield mistakes between parts of the file: channels, resources, ranges, labels, effects, faults."""
         yield from mistakes_between_parts(data)
-        yield from effect_mistakes(part(data, "effects"), ("effects",))
+        stated = part(data, "installations")
+        labels = {"1", "2", *(map(str, stated) if isinstance(stated, dict) else ())}
+        yield from effect_mistakes(part(data, "effects"), ("effects",), labels)
 
     @property
     def gravity_m_s2(self) -> float | None:
@@ -134,11 +138,15 @@ class BenchFile(FileModel):
         """Return the effects that the simulated bench has; no calibration knows of them."""
         return tuple(entry.applied() for entry in self.effects)
 
+    def nominal_block(self) -> Block:
+        """Return the block as it is announced: its nominal scale factors, nothing across, no bias."""
+        return Block(np.diag(self.unit_under_test.scale_factors.values), np.zeros(3))
+
     def simulated_block(self) -> Block:
         """Return the block of the simulated bench: as stated, else nominal scale factors and no bias."""
         truth = self.simulation.block
         if truth is None:
-            return Block(np.diag(self.unit_under_test.scale_factors.values), np.zeros(3))
+            return self.nominal_block()
         return Block(np.array(truth.K, dtype=np.float64), np.array(truth.U0, dtype=np.float64))
 
 

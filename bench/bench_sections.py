@@ -71,11 +71,15 @@ Gravity = Annotated[
 
 
 class ErrorSize(FileModel):
-    """Limit of a stand error with its distribution; a normal one needs the coverage factor k."""
+    """Limit of an error with its distribution; a normal one needs the coverage factor k.
+
+    `dof` are the degrees of freedom of the limit, where it was found from repeats; left out, it is certain.
+    """
 
     limit: float
     distribution: Literal["normal", "rectangular"]
     k: Annotated[float, Field(gt=0.0)] | None = None
+    dof: Annotated[float, Field(gt=0.0)] = float("inf")
 
     @model_validator(mode="after")
     def _k_where_normal(self) -> ErrorSize:

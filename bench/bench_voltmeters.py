@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
@@ -25,14 +26,24 @@ from drivers.interfaces import Channel
 class VoltmeterKind:
     """What voltmeters of a driver can do: ranges, integration times, readings that the memory holds.
 
-    `baud_rates` are those of its serial port, none where it has no such port.
+    `baud_rates` are those of its serial port, none where it has no such port. `accuracy` gives for each range
+    the limits of error of DC volts within 90 days at 23 ± 5 °C, parts of the reading and of the range;
+    `linearity` the limits of its converter's integral nonlinearity alike.
     """
 
     ranges_v: tuple[float, ...]
     nplc: tuple[float, ...]
     memory_readings: int
     baud_rates: tuple[int, ...] = ()
+    accuracy: Mapping[float, tuple[float, float]] = field(default_factory=lambda: _ACCURACY_90_DAYS)
+    linearity: tuple[float, float] = (2e-6, 1e-6)
 
+
+_ACCURACY_90_DAYS: Final[Mapping[float, tuple[float, float]]] = {
+    0.1: (40e-6, 35e-6), 1.0: (30e-6, 7e-6), 10.0: (20e-6, 5e-6), 100.0: (35e-6, 6e-6),
+    300.0: (35e-6, 20e-6), 1000.0: (35e-6, 10e-6),
+}  # fmt: skip
+"""The same for the three kinds: 34401A User's Guide, chapter 8; 34461A and 34970A data sheets."""
 
 VOLTMETERS: Final = {
     "agilent-34401a": VoltmeterKind(

@@ -19,6 +19,7 @@ from bench.cli_app import (
     ModelOption,
     OutOption,
     ProcedureArgument,
+    RuleOption,
     RunArgument,
     RunsOption,
     SkipOption,
@@ -49,13 +50,18 @@ def run(
     operator: Annotated[str, typer.Option(help="Who stands at the bench, for the record.")] = "",
     model: ModelOption = None,
     wire_log: WireLogOption = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Then diagnose, and run at once what would tell more.")
+    ] = False,
     json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
     """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
     from bench.commands import execute
 
-    request = execute.Request(procedure, bench, dry_run, seed, name, operator, model, runs, wire_log, json)
+    request = execute.Request(
+        procedure, bench, dry_run, seed, name, operator, model, runs, wire_log, json, follow
+    )
     return execute.run(request)
 
 
@@ -167,8 +173,23 @@ def import_(
 def calibrate(
     sources: Sources,
     estimator: Annotated[
-        str, typer.Option(help="gls (all readings), or closed-form (the paper's (7)-(8)).")
+        str,
+        typer.Option(
+            help="gls (all readings, weighed), robust (gls without the weight of outliers), least-squares "
+            "(all readings alike), or closed-form (the paper's (7)-(8))."
+        ),
     ] = "gls",
+    nominal_angles: Annotated[
+        bool, typer.Option("--nominal-angles", help="Target angles in place of those read back.")
+    ] = False,
+    join_free: Annotated[
+        bool,
+        typer.Option("--join-free/--no-join-free", help="Free positions (F) join the fit by |a| = 1 g."),
+    ] = True,
+    join_verification: Annotated[
+        bool,
+        typer.Option("--join-verification", help="So do verification points; they check nothing then."),
+    ] = False,
     bench: BenchOption = None,
     model: ModelOption = None,
     g: GravityOption = None,
@@ -182,7 +203,8 @@ def calibrate(
     from bench.commands import analyse
 
     request = analyse.Request(sources, runs, bench, model, g, out, skip_bad_rows)
-    return analyse.calibrate(request, estimator, json, strict=strict)
+    fitting = analyse.Fitting(estimator, nominal_angles, join_free, join_verification)
+    return analyse.calibrate(request, fitting, json, strict=strict)
 
 
 @app.command(epilog="Example: bench verify unit-17 --coefficients last-year.json")
@@ -194,6 +216,7 @@ def verify(
     limit: Annotated[
         float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")
     ] = None,
+    rule: RuleOption = None,
     bench: BenchOption = None,
     model: ModelOption = None,
     g: GravityOption = None,
@@ -206,7 +229,7 @@ def verify(
     from bench.commands import analyse
 
     request = analyse.Request(sources, runs, bench, model, g, out, skip_bad_rows)
-    return analyse.verify(request, coefficients, limit, json)
+    return analyse.verify(request, coefficients, limit, json, rule=rule or "simple")
 
 
 @app.command(epilog="Example: bench report unit-17")
@@ -281,6 +304,12 @@ def init(folder: Annotated[Path, typer.Argument(help="Folder to write into.")] =
     from bench.commands import check as command
 
     return command.init(folder)
+
+
+# imported here so that its commands stand after those above in the help
+import bench.cli_diagnose  # noqa: E402
+import bench.cli_history  # noqa: E402
+import bench.cli_uncertainty  # noqa: E402, F401
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -42,6 +42,12 @@ GravityOption = Annotated[
     float | None,
     typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),
 ]
+RuleOption = Annotated[
+    str | None,
+    typer.Option(
+        "--rule", metavar="RULE", help="simple: |Δg| within the limit (default); guarded: |Δg| + U within it."
+    ),
+]
 Sources = Annotated[
     list[str], typer.Argument(metavar="SOURCE…", help="Runs (name or path) or readings files.")
 ]

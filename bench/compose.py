@@ -12,9 +12,11 @@ adapter gives a reading 50 ms to come, and so proves nothing of a bench whose re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from bench.bench_file import BenchFile
 from bench.compose_drivers import Surroundings, instruments_of
@@ -27,11 +29,14 @@ from bench.compose_simulation import (
     world_of,
 )
 from bench.model import ForwardModel
+from bench.plan import Plan, Read
+from bench.readings import REFERENCE, SHORTED, scan_order
 from bench.record import Event
 from bench.runner import Observer
+from bench.steps import in_scan_order, read_order
 from bench.workbench import Instruments
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import BenchError, Person
+from drivers.interfaces import BenchError, Person, Voltmeter
 from drivers.visa import Wire
 from sim.bench import SimulatedBench
 from sim.clock import ScaledClock, VirtualClock
@@ -63,10 +68,18 @@ def real_bench(bench: BenchFile, person: Person, wire: Wire | None = None) -> As
 
 @contextmanager
 def dry_bench(
-    bench: BenchFile, model: ForwardModel, seed: int, wire: Wire | None = None
+    bench: BenchFile,
+    model: ForwardModel,
+    seed: int,
+    wire: Wire | None = None,
+    *,
+    plan: Plan | None = None,
+    taken: Sequence[Mapping[str, Any]] = (),
 ) -> Iterator[Assembly]:
     """Put a simulated bench together: the bench file's stand and block as truth, `model` with its effects.
 
+    Of the steps of `plan` the world learns in which order they read the channels. `taken` are the readings on
+    record of a run to be resumed, as its events have them: effects look back to them.
     Raises `BenchError` for a fault in the bench file that its instrument cannot have.
     """
     clock = VirtualClock()
@@ -78,13 +91,40 @@ def dry_bench(
         if event.type == "step_started":
             attempt = int(event.data["attempt"])
             key = str(event.data["key"])
-            world.begin_step(key if attempt == 1 else f"{key}@{attempt}")
+            scan = scan_of(int(event.data["step"]), instruments.voltmeters)
+            world.begin_step(key if attempt == 1 else f"{key}@{attempt}", scan)
+
+    def scan_of(index: int, meters: Sequence[Voltmeter]) -> tuple[int, ...]:
+        """Return the channels in the order in which a step reads them."""
+        step = None if plan is None else plan.steps[index]
+        return scan_order(read_order(in_scan_order(meters, step.scan if isinstance(step, Read) else "")))
 
     terminals = on_terminals(bench) if TERMINALS else ()
     with _simulated(bench, world, with_terminals=terminals) as simulated:
         ports = {name: simulated.terminals[name].resource for name in terminals}
         given = Surroundings(operator, clock, bench.line_frequency, wire, simulated.resources | ports)
-        yield Assembly(instruments_of(bench, given), operator, clock, (key_world,), clock.advance_to)
+        instruments = instruments_of(bench, given)
+        _recall(world, taken)
+        yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)
+
+
+def _recall(world: World, taken: Sequence[Mapping[str, Any]]) -> None:
+    """Tell a world the readings on record; a free position, of which nobody knows how it was, is none to it."""
+    for row in taken:
+        label, angle_deg = str(row["installation"]), row["angle_deg"]
+        at_inputs = {SHORTED: 0.0, REFERENCE: row.get("reference_v")}
+        if label not in at_inputs and (label not in world.settings.model.installations or angle_deg is None):
+            continue
+        world.recall(
+            None if label in at_inputs else label,
+            int(row["series"]),
+            math.radians(angle_deg or 0.0),
+            row["direction"] or None,
+            float(row["time_s"]),
+            block_c=row["temperature_c"],
+            input_v=at_inputs.get(label),
+            scan=scan_order(row.get("scan_order") or ""),
+        )
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ _M: Final = 0.00344978650684
 def normal_gravity_m_s2(latitude_rad: float, height_m: float = 0.0) -> float:
     """Return normal gravity in m/s² at a geodetic latitude and a height above the ellipsoid.
 
-    Local anomalies (about 1e-4 m/s²) are not in it. Raises `ValueError` for a latitude beyond the poles.
+    Local anomalies (some 1e-4 to 1e-3 m/s²) are not in it. Raises `ValueError` for a latitude beyond the poles.
     """
     if abs(latitude_rad) > math.pi / 2 + 1e-9:
         raise ValueError(f"a latitude lies between -90° and 90°, not at {math.degrees(latitude_rad):g}°")

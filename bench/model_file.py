@@ -2,11 +2,13 @@
 
 A parameter is written in any unit of its dimension, for all `channels` alike or for each:
 `K2: 60 ug/g^2`, `K2: {value: 60 ug/g^2, u: 4 ug/g^2}`, `K2: {x: 60 ug/g^2, z: {value: …, u: …}}`.
+A shape (a time constant, a width) has one value and no `u`: `tau: 20 min`. `installations: ["2"]` says which
+mountings have the effect ("2/3" is installation 2 in series 3), where not all have.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -28,10 +30,11 @@ FORMAT: Final = "1"
 
 
 class EffectEntry(FileModel):
-    """One effect of a file: its name in the catalogue, the channels that have it, values of parameters."""
+    """One effect of a file: its name in the catalogue, the channels and mountings that have it, its values."""
 
     name: str
     channels: tuple[Channel, ...] = Field(CHANNELS, min_length=1)
+    installations: tuple[str, ...] = ()
     parameters: dict[str, Any]
 
     def applied(self) -> AppliedEffect:
@@ -46,7 +49,7 @@ class EffectEntry(FileModel):
                 values[parameter.name] = read.values
                 if read.has_u:
                     u[parameter.name] = read.u
-        return AppliedEffect(effect, values, self.channels, u)
+        return AppliedEffect(effect, values, self.channels, u, self.installations)
 
 
 class ModelFile(FileModel):
@@ -72,16 +75,33 @@ class ModelFile(FileModel):
         return tuple(entry.applied() for entry in self.effects)
 
 
-def load_model(path: Path) -> ModelFile:
-    """Read a model file. Raises `FileMistakes` with every mistake in it."""
-    return load_validated(path, ModelFile)
+def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
+    """Read a model file. Raises `FileMistakes` with every mistake in it.
+
+    With `installations`, those of the bench, it is a mistake, too, that an effect is of another one.
+    """
+    model = load_validated(path, ModelFile)
+    mistakes = [
+        Mistake(0, f"effects[{index}].installations", text)
+        for index, entry in enumerate(model.effects, start=1)
+        for text in _mounting_mistakes(entry.installations, installations)
+    ]
+    if mistakes and installations:
+        raise FileMistakes(path, mistakes)
+    return model
 
 
 # --- reading effects --------------------------------------------------------------------------------
 
 
-def effect_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
-    """Yield what is wrong with the names and values of a list of effects as written at `place`."""
+def effect_mistakes(
+    entries: Any, place: Place, installations: Collection[str] = ()
+) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong with the names and values of a list of effects as written at `place`.
+
+    With `installations`, those of the bench, effects must not be of another one.
+    """
+    seen: set[tuple[object, ...]] = set()
     for index, entry in enumerate(entries if isinstance(entries, list) else []):
         if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
             continue
@@ -93,6 +113,7 @@ def effect_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
         given = entry.get("parameters")
         known = {parameter.name: parameter for parameter in effect.parameters}
         channels = _channels(entry.get("channels"))
+        shapes = {parameter.name: parameter.default for parameter in effect.parameters if parameter.is_shape}
         for name, written in (given if isinstance(given, dict) else {}).items():
             inside = (*here, "parameters", name)
             if name not in known:
@@ -101,6 +122,29 @@ def effect_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
             reader = _Reader(known[name], channels)
             reader.all(written)
             yield from (((*inside, *where), text) for where, text in reader.problems)
+            if name in shapes:
+                shapes[name] = float(reader.values)
+        mountings = entry.get("installations")
+        listed = tuple(sorted(map(str, mountings))) if isinstance(mountings, list) else ()
+        if installations:
+            yield from (
+                ((*here, "installations"), text) for text in _mounting_mistakes(listed, installations)
+            )
+        of = channels if any(parameter.per_channel for parameter in effect.parameters) else CHANNELS
+        own = {(effect.name, listed, channel, *shapes.values()) for channel in of}
+        if own & seen:
+            yield here, f"{effect.name} stands twice for the same channel; put its values into one entry"
+        seen |= own
+
+
+def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -> Iterator[str]:
+    """Yield a sentence for each mounting, such as "2" or "2/3" (of series 3), of an unknown installation."""
+    for mounting in written:
+        label, slash, series = mounting.partition("/")
+        if label not in installations:
+            yield unknown_word(label, sorted(installations), "installation")
+        elif slash and not (series.isdecimal() and int(series) > 1):
+            yield f"expected a series from 2 on after the slash, such as '{label}/2', got '{mounting}'"
 
 
 def _channels(written: Any) -> tuple[Channel, ...]:
@@ -153,7 +197,10 @@ class _Reader:
             self.values[rows] = self._number(written["value"], (*place, "value"))
         else:
             self.problems.append((place, "'value' is missing"))
-        if "u" in written:
+        if "u" in written and self._parameter.is_shape:
+            text = f"{self._parameter.name} is a shape: a fit holds it as it is, and it has no u"
+            self.problems.append(((*place, "u"), text))
+        elif "u" in written:
             self.has_u = True
             u = self._number(written["u"], (*place, "u"))
             self.u[rows] = u
@@ -161,8 +208,13 @@ class _Reader:
                 self.problems.append(((*place, "u"), "a standard uncertainty is not negative"))
 
     def _number(self, written: Any, place: Place) -> float:
+        parameter = self._parameter
         try:
-            return parse_quantity(written, self._kind) * self._parameter.si_per_unit
+            number = parse_quantity(written, self._kind)
+            if parameter.is_shape and (number < 0.0 or (number == 0.0 and 0.0 not in parameter.grid)):
+                least = "nothing or more" if 0.0 in parameter.grid else "more than nothing"
+                raise ValueError(f"expected {parameter.name} to be {least}, got '{written}'")
+            return number * parameter.si_per_unit
         except ValueError as error:
             self.problems.append((place, str(error)))
             return 0.0
@@ -201,10 +253,11 @@ def write_model_file(
 
 def _written_effect(applied: AppliedEffect) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
+    complete = applied.complete_values()
     for parameter in applied.effect.parameters:
-        if parameter.name not in applied.values:
+        if parameter.name not in applied.values and not parameter.is_shape:
             continue
-        value = np.asarray(applied.values[parameter.name], dtype=np.float64)
+        value = complete[parameter.name]
         u = applied.u.get(parameter.name)
         if parameter.per_channel:
             parameters[parameter.name] = {
@@ -214,7 +267,10 @@ def _written_effect(applied: AppliedEffect) -> dict[str, Any]:
             }
         else:
             parameters[parameter.name] = _written_value(parameter, value, u)
-    return {"name": applied.effect.name, "channels": list(applied.channels), "parameters": parameters}
+    written: dict[str, Any] = {"name": applied.effect.name, "channels": list(applied.channels)}
+    if applied.installations:
+        written["installations"] = list(applied.installations)
+    return written | {"parameters": parameters}
 
 
 def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, str]:

@@ -27,12 +27,13 @@ from bench.steps import (
     told_duration,
     told_mount,
     told_place,
+    told_scan,
 )
 from drivers.interfaces import PromptKind
 
 __all__ = ["SETTLING", "Ask", "InputSource", "Mount", "OnFailure", "OperatorTime", "Plan", "Read",
            "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait", "told_duration",
-           "told_mount", "told_place"]  # fmt: skip
+           "told_mount", "told_place", "told_scan"]  # fmt: skip
 
 _SAMPLE_OVERHEAD_S: Final = 0.01
 
@@ -57,7 +58,9 @@ class OperatorTime:
     input_s: float = 60.0
 
 
-_ADDED: Final[Mapping[str, object]] = {"on_failure": OnFailure(), "input_s": OperatorTime().input_s}
+_ADDED: Final[Mapping[str, object]] = {
+    "on_failure": OnFailure(), "input_s": OperatorTime().input_s, "scan": "",
+}  # fmt: skip
 """Fields that plans did not have at first, with what their absence means.
 
 At that value they are not written, so that a plan on record keeps its hash; it can never be another one.
@@ -174,9 +177,10 @@ def _step_to_json(step: Step) -> dict[str, Any]:
         match value:
             case tuple():
                 written[name] = list(value)
+            case _ if name in _ADDED and value == _ADDED[name]:
+                continue
             case OnFailure():
-                if value != _ADDED[name]:
-                    written[name] = {"repeats": value.repeats, "then": value.then}
+                written[name] = {"repeats": value.repeats, "then": value.then}
             case _:
                 written[name] = value
     return written

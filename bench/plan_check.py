@@ -12,6 +12,7 @@ from bench.bench_file import BenchFile
 from bench.model.block import COEFFICIENTS
 from bench.plan import Ask, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
 from bench.readings import UNORIENTED, VERIFICATION
+from bench.steps import in_scan_order, read_order
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
 
     In a dry run nobody can answer a prompt without a default, so that such a prompt is a reason too.
     """
-    return [*_installation_problems(plan, bench), *_reading_problems(plan, bench),
+    return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
             *_settling_problems(plan, bench), *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
 
@@ -57,6 +58,18 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for count, key in samples.items():
         if count > bench.most_samples:
             yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
+
+
+def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A meter of several channels scans them in its own order, whatever is asked."""
+    scans = {step.scan: step.key for step in reversed(plan.steps) if isinstance(step, Read) and step.scan}
+    for scan, key in reversed(scans.items()):
+        order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
+        if order != scan:
+            yield (
+                f"step {key}: the channels are to be read in the order {scan}, but this bench's multiplexer can do "
+                f"{order} alone; leave 'scans' out in a copy of the procedure"
+            )
 
 
 def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:

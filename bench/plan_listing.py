@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from bench.plan import Plan, Read, Step, Turn, told_place
+from bench.plan import Plan, Read, Step, Turn, told_place, told_scan
 
 LONGEST_PERIOD: Final = 24
 """Steps of one point at most that are looked at as a pattern."""
@@ -137,7 +137,7 @@ def _doing(step: Step) -> str:
         case Turn():
             return "turn"
         case Read():
-            return f"read {step.samples} × {step.nplc:g} NPLC"
+            return f"read {step.samples} × {step.nplc:g} NPLC{told_scan(step)}"
         case _:
             return step.describe()
 

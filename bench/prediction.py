@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,16 +57,12 @@ def poses(
     series = row.mounts[0].series
     rows = variants * columns
     mounts = tuple(Mount(series, label) for label in installations for _ in range(columns))
-    conditions = replace(
-        row,
-        mounts=mounts,
-        mount=np.arange(rows),
-        angle_rad=np.repeat(angle_rad, columns),
-        **{
-            name: np.repeat(getattr(row, name), rows)
-            for name in ("pass_number", "point", "direction", "time_s", "temperature_c")
-        },
-    )
+    repeated: dict[str, Any] = {
+        name: np.repeat(getattr(row, name), rows, axis=0)
+        for name in ("pass_number", "point", "direction", "time_s", "temperature_c", "scan_order")
+    }
+    angles = np.repeat(angle_rad, columns)
+    conditions = replace(row, mounts=mounts, mount=np.arange(rows), angle_rad=angles, **repeated)
     errors = np.tile(_STEP_RAD * np.eye(columns, SETTING + 1, k=-1), (variants, 1))
     stand_rad, setting_rad = errors[:, :SETTING], errors[:, SETTING]
     force = model.specific_force(conditions, stand_rad, block, setting_rad)

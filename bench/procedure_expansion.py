@@ -61,6 +61,7 @@ class _Context:
     target_rad: float = 0.0
     input: str = ""
     on_failure: FailureSection | None = None
+    scan: str = ""
 
     @property
     def mount(self) -> str:
@@ -176,12 +177,12 @@ class Expansion:
 
     def _repeat(self, verb: RepeatVerb, place: Place, context: _Context) -> None:
         directions = [_DIRECTIONS[word] for word in verb.directions or ()]
-        times = verb.times or len(directions)
-        before = (context.pass_number - 1) * times
-        for index in range(times):
+        before = (context.pass_number - 1) * verb.passes
+        for index in range(verb.passes):
             number = before + index + 1
             direction = directions[index] if directions else context.direction
-            inside = replace(context, pass_number=number, direction=direction)
+            scan = verb.scans[index] if verb.scans else context.scan
+            inside = replace(context, pass_number=number, direction=direction, scan=scan)
             self._all(verb.steps, (*place, "steps"), inside)
 
     def _turn(self, verb: TurnVerb, place: Place, context: _Context) -> None:
@@ -266,6 +267,7 @@ class Expansion:
                 verb.samples or context.reading.samples,
                 verb.nplc or context.reading.nplc,
                 context.failure(verb.on_failure, context.reading.on_failure),
+                context.scan,
             )
         )
 

@@ -37,7 +37,7 @@ from bench.procedure_sections import (
     SpanS,
     TemperatureSettle,
 )
-from bench.readings import UNORIENTED
+from bench.readings import UNORIENTED, scan_order
 from bench.units import AngleRad, TemperatureC, VoltageV
 from bench.yaml_file import FileModel
 from drivers.interfaces import PromptKind
@@ -56,6 +56,12 @@ def _within_a_turn(angle_rad: float) -> float:
     return angle_rad
 
 
+def _an_order(text: str) -> str:
+    scan_order(text)
+    return text.strip().lower()
+
+
+ScanWord = Annotated[str, AfterValidator(_an_order)]
 Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 
 
@@ -77,10 +83,14 @@ class InstallationVerb(FileModel):
 
 
 class RepeatVerb(FileModel):
-    """Passes: so many `times`, or one for each of `directions`, which then hold for the turns inside."""
+    """Passes: so many `times`, or one for each of `directions`, which then hold for the turns inside.
+
+    `scans` says for each pass in which order the channels are read, such as [xyz, zyx].
+    """
 
     times: Positive | None = None
     directions: Annotated[tuple[DirectionWord, ...], Field(min_length=1)] | None = None
+    scans: Annotated[tuple[ScanWord, ...], Field(min_length=1)] | None = None
     steps: Steps
 
     @model_validator(mode="after")
@@ -88,6 +98,17 @@ class RepeatVerb(FileModel):
         if (self.times is None) == (self.directions is None):
             raise ValueError("a repeat has either 'times' or 'directions'")
         return self
+
+    @model_validator(mode="after")
+    def _a_scan_for_each(self) -> RepeatVerb:
+        if self.scans is not None and len(self.scans) != self.passes:
+            raise ValueError(f"'scans' has an order for each pass: {self.passes}, not {len(self.scans)}")
+        return self
+
+    @property
+    def passes(self) -> int:
+        """How many passes there are."""
+        return self.times or len(self.directions or ())
 
 
 class AngleSteps(FileModel):

@@ -25,6 +25,12 @@ REFERENCE: Final = "R"
 UNORIENTED: Final = frozenset({FREE, SHORTED, REFERENCE})
 """Rows whose head angle means nothing and may be empty."""
 
+SCAN_ORDER: Final = "scan_order"
+"""The extra column with the order in which the channels were read, such as "xyz"."""
+
+REFERENCE_V: Final = "reference_v"
+"""The extra column with the voltage at a reference input."""
+
 MOST_DECIMALS: Final = 8
 """A 34401A's reply has so many: what is given to more is no reading as it came from a meter."""
 
@@ -87,16 +93,24 @@ class Readings:
         }
         return replace(self, **columns, extra={k: v[rows] for k, v in self.extra.items()})
 
+    @property
+    def is_oriented(self) -> NDArray[np.bool_]:
+        """Where the block is mounted in an installation, and not for verification, shape (n,)."""
+        return ~np.isin(self.installation, [VERIFICATION, *UNORIENTED])
+
     def oriented(self) -> Readings:
         """Return the rows that a calibration fits: mounted in an installation, not for verification."""
-        return self.select(~np.isin(self.installation, [VERIFICATION, *UNORIENTED]))
+        return self.select(self.is_oriented)
 
     def verification(self) -> Readings:
         """Return the rows of the verification points."""
         return self.select(self.installation == VERIFICATION)
 
     def conditions(self) -> Conditions:
-        """Return the conditions of the rows for the forward model, at the angles read back."""
+        """Return the conditions of the rows for the forward model, at the angles read back.
+
+        The scan order is that of the column `scan_order`; raises `ValueError` where it is none.
+        """
         return Conditions.of(
             self.installation.tolist(),
             self.angle_rad,
@@ -106,7 +120,21 @@ class Readings:
             direction=self.direction.tolist(),
             time_s=self.time_s,
             temperature_c=self.temperature_c,
+            scan_order=[scan_order(text) for text in self.extra[SCAN_ORDER]]
+            if SCAN_ORDER in self.extra
+            else None,
         )
+
+
+def scan_order(text: str) -> tuple[int, ...]:
+    """Return the channels 0, 1, 2 in the order of a text such as "zyx"; of an empty one, x, y, z.
+
+    Raises `ValueError` for a text that is no order of the three.
+    """
+    order = tuple("xyz".find(letter) for letter in text.strip().lower())
+    if order and sorted(order) != [0, 1, 2]:
+        raise ValueError(f"expected the three channels in the order read, such as xyz or zyx, got {text!r}")
+    return order or (0, 1, 2)
 
 
 def make_readings(
@@ -125,6 +153,7 @@ def make_readings(
     temperature_c: Floats | None = None,
     signal_sd: Floats | None = None,
     samples: list[int] | None = None,
+    scan_order: list[str] | None = None,
 ) -> Readings:
     """Build a table from columns; those left out take the values that stand for "not given"."""
     n = len(installation)
@@ -144,4 +173,5 @@ def make_readings(
         signal=np.asarray(signal, dtype=np.float64).reshape(n, 3),
         signal_sd=np.full((n, 3), np.nan) if signal_sd is None else signal_sd.reshape(n, 3),
         samples=np.array(samples or [1] * n, dtype=np.int64),
+        extra={} if scan_order is None else {SCAN_ORDER: np.array(scan_order, dtype=np.str_)},
     )

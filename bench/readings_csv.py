@@ -12,13 +12,24 @@ from typing import Final
 
 import numpy as np
 
-from bench.readings import FREE, REFERENCE, SHORTED, UNITS, UNORIENTED, VERIFICATION, Floats, Readings
+from bench.readings import (
+    FREE,
+    REFERENCE,
+    SCAN_ORDER,
+    SHORTED,
+    UNITS,
+    UNORIENTED,
+    VERIFICATION,
+    Floats,
+    Readings,
+    scan_order,
+)
 
 LISTED_AT_ONCE: Final = 20
 OVERLOAD: Final = 9.0e37
 REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
 OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
-AS_TEXT: Final = ("range_v", "scan_order", "reference_v")
+AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v")
 """Promised columns that no number is made of here."""
 
 
@@ -50,7 +61,7 @@ def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool 
     Raises `ReadingsError` with file, line, column and what was expected for every bad row (the first 20,
     then a count); with `skip_bad_rows` they are left out and listed in `Readings.skipped`.
     """
-    header, body = _split(path)
+    header, body = split_table(path, _example_header())
     suffix = _signal_suffix(path, header)
     signals = [f"u{axis}_{suffix}" for axis in "xyz"]
     known = {*REQUIRED, *OPTIONAL, *AS_TEXT, *signals, *(f"u{axis}_sd_{suffix}" for axis in "xyz")}
@@ -93,7 +104,11 @@ def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool 
     return replace(table, verification_missing=verification_missing)
 
 
-def _split(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def split_table(path: Path, example: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the header in small letters, and the rows that are not empty, each with its line number.
+
+    `example` is a header that the file could have. Raises `ReadingsError` when the file is no CSV table.
+    """
     try:
         # newline="": line ends inside quoted cells stay as they are
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -114,7 +129,7 @@ def _split(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     except csv.Error as error:
         raise ReadingsError(f"{path}, line {reader.line_num}: not CSV ({error})") from error
     if not header:
-        raise ReadingsError(f"{path}: empty; expected a header line such as {_example_header()}")
+        raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         raise ReadingsError(f"{path}, line 1: columns must be separated by commas (and decimals by a dot)")
     twice = sorted({name for name in header if header.count(name) > 1})
@@ -180,6 +195,10 @@ def _row(
         "temperature_c": _number(text, "temperature_c", "a temperature in °C", optional=True),
         "samples": _integer(text, "samples", default=1),
     }
+    try:
+        scan_order(text.get(SCAN_ORDER, ""))
+    except ValueError as problem:
+        raise _BadCell(SCAN_ORDER, str(problem)) from None
     for name in signals:
         row[name] = _number(text, name, "a number with a dot as decimal sign")
         sd = name[:2] + "_sd" + name[2:]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench.plan import Plan, Read
-from bench.readings import VERIFICATION, Readings, make_readings
+from bench.readings import REFERENCE_V, SCAN_ORDER, VERIFICATION, Readings, make_readings
 from bench.record import MANIFEST, History, RecordError, read_history, read_manifest
 
 PLAN = "plan.json"
@@ -111,12 +111,19 @@ class Run:
 
 
 def readings_of(rows: list[dict[str, Any]], source: str) -> Readings:
-    """Make the table of recorded readings (the `reading` of an event, one per row)."""
+    """Make the table of recorded readings (the `reading` of an event, one per row).
+
+    Scan order and reference voltage are among its extra columns where any row has them.
+    """
 
     def column(name: str) -> list[float]:
         return [math.nan if row.get(name) is None else float(row[name]) for row in rows]
 
-    return make_readings(
+    told = {
+        name: ["" if row.get(name) is None else str(row[name]) for row in rows]
+        for name in (SCAN_ORDER, REFERENCE_V)
+    }
+    table = make_readings(
         [str(row["installation"]) for row in rows],
         [int(row["pass"]) for row in rows],
         [int(row["point"]) for row in rows],
@@ -132,6 +139,8 @@ def readings_of(rows: list[dict[str, Any]], source: str) -> Readings:
         signal_sd=np.array([[math.nan if v is None else v for v in row["sd"]] for row in rows]),
         samples=[int(row["samples_taken"]) for row in rows],
     )
+    extra = {name: np.array(cells, dtype=np.str_) for name, cells in told.items() if any(cells)}
+    return replace(table, extra=extra)
 
 
 def checked_name(name: str) -> str:

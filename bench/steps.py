@@ -8,14 +8,14 @@ their labels S and R in place of an installation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, Protocol, TypeVar
 
 import numpy as np
 
 from bench.readings import REFERENCE, SHORTED
-from drivers.interfaces import Direction, PromptKind
+from drivers.interfaces import Channel, Direction, PromptKind
 
 Settled = Literal["signals", "temperature"]
 InputSource = Literal["signal", "short", "reference"]
@@ -130,7 +130,8 @@ class SelectInput:
 class Read:
     """The voltmeters take one reading: `samples` samples of `nplc` power-line cycles each.
 
-    A reading of the shorted or reference input (installation S, R) has neither target nor direction.
+    A reading of the shorted or reference input (installation S, R) has neither target nor direction. `scan` is
+    the order in which the channels are read, such as "zyx"; empty for that of the bench file.
     """
 
     key: str
@@ -143,11 +144,15 @@ class Read:
     samples: int
     nplc: float
     on_failure: OnFailure = OnFailure()
+    scan: str = ""
 
     def describe(self) -> str:
         """Say in one line what is done."""
         where = "" if self.target_rad is None else f" at {_degrees(self.target_rad)}"
-        return f"read {_point(self)}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
+        return (
+            f"read {_point(self)}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
+            f"{told_scan(self)}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +189,30 @@ class SetTemperature:
 Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature
 
 
+# --- the order of the channels ----------------------------------------------------------------------
+
+
+class _HasChannels(Protocol):
+    @property
+    def channels(self) -> tuple[Channel, ...]: ...
+
+
+_Meter = TypeVar("_Meter", bound=_HasChannels)
+
+
+def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
+    """Return the meters in the order in which they are triggered for a scan such as "zyx"; as listed for none.
+
+    A meter of several channels stands where its first one does; among its own it keeps its own order.
+    """
+    return sorted(meters, key=lambda meter: scan.find(meter.channels[0])) if scan else list(meters)
+
+
+def read_order(meters: Sequence[_HasChannels]) -> str:
+    """Return the order in which meters read the channels that are triggered one after the other: "xyz"."""
+    return "".join(channel for meter in meters for channel in meter.channels)
+
+
 # --- in words ---------------------------------------------------------------------------------------
 
 
@@ -213,6 +242,11 @@ def told_place(step: Turn | Read) -> str:
     if step.installation in _INPUTS:
         return _INPUTS[step.installation] + ("" if step.series == 1 else f" (series {step.series})")
     return f"installation {told_mount(step.installation, step.series)}"
+
+
+def told_scan(step: Read) -> str:
+    """Return in which order the channels are read, to be told after the rest; empty where nothing is said."""
+    return f", the channels in the order {', '.join(step.scan)}" if step.scan else ""
 
 
 def _point(step: Turn | Read) -> str:

@@ -14,6 +14,7 @@ from bench.mounting import mount_picture, mount_text
 from bench.plan import Ask, Mount, Read, SelectInput, SetTemperature, Settle, Step, Turn, Wait
 from bench.sample_statistics import describe
 from bench.settling import Criterion, Settling, wait_until_settled
+from bench.steps import in_scan_order, read_order
 from drivers.clock import Clock
 from drivers.interfaces import (
     CHANNELS,
@@ -209,7 +210,7 @@ class Workbench:
         return {"settled_s": state.elapsed_s, "settled_at": list(state.values)}
 
     def _signals(self) -> tuple[float, ...]:
-        samples = self._sample()
+        samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
 
     def _nap(self, state: Settling) -> None:
@@ -247,7 +248,8 @@ class Workbench:
         self._configure(VoltmeterSettings(self.range_v, step.nplc, step.samples))
         self._take_temperature(step.key)
         begun_s = self.now_s()
-        samples = self._sample()
+        meters = in_scan_order(self.instruments.voltmeters, step.scan)
+        samples = self._sample(meters)
         statistics = describe(samples)
         position = self._position if step.target_rad is not None else None
         return {
@@ -269,6 +271,7 @@ class Workbench:
             "drift_p": [statistics[channel]["drift_p"] for channel in CHANNELS],
             "outlier": [statistics[channel]["outlier"] for channel in CHANNELS],
             "reference_v": self._reference_v,
+            "scan_order": read_order(meters),
         }
 
     def _take_temperature(self, key: str) -> None:
@@ -287,12 +290,13 @@ class Workbench:
                 "find out why the chamber went there before going on",
             )
 
-    def _sample(self) -> dict[str, tuple[float, ...]]:
+    @staticmethod
+    def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:
         """Start every meter before the first is waited for, so that the signals are sampled together."""
-        for meter in self.instruments.voltmeters:
+        for meter in meters:
             meter.start()
         samples: dict[str, tuple[float, ...]] = {}
-        for meter in self.instruments.voltmeters:
+        for meter in meters:
             for channel, values in meter.fetch().items():
                 samples[channel] = values
         return samples

@@ -1,13 +1,17 @@
 """Are the stated uncertainties true? Thousands of simulated runs of the paper's procedure with known truth.
 
     python benchmarks/honest_uncertainty.py --runs 2000 --noise 1e-4 2e-5 --workers 2
+    python benchmarks/honest_uncertainty.py --batch 10000 --joined 1000 --runs 0
 
 For each size of the voltmeter's noise (V): the root mean square of (estimate - truth)/u for each coefficient
-by the default estimator (promised: 0.93 to 1.07) and by the closed form; how many times smaller the errors of
+by the default estimator (promised: 0.95 to 1.05) and by the closed form; how many times smaller the errors of
 the default estimator are (promised: 4 for Kyx and Kzx); the paired comparison with the closed form (squared
 errors, in standard errors; negative would be worse); and how often p of the lack of fit is below a level
 although nothing is wrong. The stand is the paper's with its limits as three sigma; noise sizes are unknown
-to the fit. The simulation does not use the application's geometry. Exit status 1 when a promise is broken.
+to the fit. `--batch` units are calibrated at once: spread of the estimates over the stated u (promised: 0.96 to
+1.04). `--joined` runs have eight free positions and a third mounting angle in each installation (promised:
+0.95 to 1.05), with three passes and with one. Bounds are widened by three standard errors of what is measured.
+The simulation does not use the application's geometry. Exit status 1 when a promise is broken.
 """
 
 from __future__ import annotations
@@ -25,8 +29,10 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 import numpy as np  # noqa: E402
-from honest_runs import Runs, run  # noqa: E402
+from honest_runs import MODEL, Runs, rms, run, run_joined, simulate_many  # noqa: E402
+from paper_bench import STAND_U, TRUTH, simulate  # noqa: E402
 
+from bench.calibration.batch import calibrate_batch  # noqa: E402
 from bench.model.block import COEFFICIENTS  # noqa: E402
 
 KYX, KZX = COEFFICIENTS.index("Kyx"), COEFFICIENTS.index("Kzx")
@@ -50,12 +56,46 @@ def show(runs: Runs) -> None:
     print("lack of fit, p below: " + ", ".join(f"{q:g}: {np.mean(runs.p < q):.3f}" for q in levels))
 
 
-def broken_promises(runs: Runs) -> list[str]:
-    broken = [
-        f"z of {name} is {z:.3f}"
-        for name, z in zip(COEFFICIENTS, runs.z, strict=True)
-        if not 0.93 <= z <= 1.07
+def outside(what: str, ratios: np.ndarray, part: float, count: int) -> list[str]:
+    """Say which ratios are further from 1 than promised, three standard errors of the measurement aside."""
+    bound = part + 3 / np.sqrt(2 * count)
+    return [
+        f"{what} of {name} is {ratio:.3f}"
+        for name, ratio in zip(COEFFICIENTS, ratios, strict=True)
+        if abs(ratio - 1) > bound
     ]
+
+
+def batch_spread(seed: int, count: int, noise_v: float) -> list[str]:
+    """Calibrate many units at once and compare the spread of the estimates with the stated u."""
+    batch = calibrate_batch(
+        simulate_many(seed, count, noise_v), simulate(None, 0.0).conditions(), MODEL, STAND_U
+    )
+    ratio = np.std(batch.coefficients - TRUTH, axis=0) / rms(batch.u)
+    print(f"batch of {count}, spread/u: " + ", ".join(f"{r:.3f}" for r in ratio))
+    z = rms((batch.coefficients - TRUTH) / batch.u)
+    print(f"batch of {count}, z:        " + ", ".join(f"{r:.3f}" for r in z))
+    return outside("spread over u", ratio, 0.04, count) + outside("z", z, 0.05, count)
+
+
+def joined(pool: ProcessPoolExecutor, seed: int, count: int, noise_v: float) -> list[str]:
+    """Compare errors with u where free positions join, with three passes and with one."""
+    broken = []
+    for passes in (3, 1):
+        chunks = [range(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
+        n = len(chunks)
+        parts = list(pool.map(run_joined, [seed] * n, chunks, [noise_v] * n, [passes] * n))
+        z = rms(np.concatenate(parts))
+        print(
+            f"{count} runs joined by 8 free positions, passes {passes}, z: "
+            + ", ".join(f"{r:.3f}" for r in z)
+        )
+        broken += outside(f"z, joined, passes {passes},", z, 0.05, count)
+    return broken
+
+
+def broken_promises(runs: Runs) -> list[str]:
+    broken = outside("z", runs.z, 0.05, len(runs.p))
     broken += [
         f"{COEFFICIENTS[j]} is only {runs.gain[j]:.2f} times better" for j in (KYX, KZX) if runs.gain[j] < 4
     ]
@@ -73,13 +113,26 @@ def main() -> int:
     parser.add_argument("--noise", type=float, nargs="+", default=[1e-4, 2e-5], help="voltmeter noise, V")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1, help="run k has the seed [seed, k]")
+    parser.add_argument("--batch", type=int, default=0, help="units to calibrate at once")
+    parser.add_argument("--joined", type=int, default=0, help="runs in which free positions join")
     given = parser.parse_args()
     broken: list[str] = []
     with ProcessPoolExecutor(given.workers) as pool:
         for noise_v in given.noise:
+            print(f"\nnoise {noise_v:g} V")
+            if given.batch:
+                broken += [
+                    f"at {noise_v:g} V {text}" for text in batch_spread(given.seed, given.batch, noise_v)
+                ]
+            if given.joined:
+                broken += [
+                    f"at {noise_v:g} V {text}" for text in joined(pool, given.seed, given.joined, noise_v)
+                ]
+            if not given.runs:
+                continue
             start = time.perf_counter()
             runs = simulate_all(pool, given.seed, given.runs, noise_v)
-            print(f"\n{given.runs} runs, noise {noise_v:g} V, {time.perf_counter() - start:.0f} s")
+            print(f"{given.runs} runs, noise {noise_v:g} V, {time.perf_counter() - start:.0f} s")
             show(runs)
             broken += [f"at {noise_v:g} V {text}" for text in broken_promises(runs)]
     print("\n" + ("all promises hold" if not broken else "\n".join(["broken:", *broken])))

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.model import STAND_ANGLES, Conditions, Distribution, Stage, stand_errors
+from bench.model import STAND_ANGLES, Distribution, stand_errors
 from drivers.interfaces import CHANNELS
 from sim.heat import Heat
+from sim.pose import Pose, Visit, readings_of
 from sim.terminals import Terminals
 from sim.turning import HeadFault, HeadTurn
 
@@ -53,10 +54,9 @@ class WorldSettings:
     `stand` gives the distribution of each stand error by its name in `STAND_NAMES`: the stand angles
     (rad, drawn at each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and
     "voltmeter_error" (V, drawn for each reading of each channel); a name left out is zero.
-    `ambient_c` is the room, and the reference from which effects count temperature;
-    `block_time_constant_s` is the lag of the block behind the chamber. A chamber with a controller takes its
-    air along at `chamber_rate_c_s` behind a lag of `chamber_lag_s`, and back to the room with
-    `chamber_off_lag_s` when it is switched off.
+    `ambient_c` is the room; `block_time_constant_s` is the lag of the block behind the chamber. A chamber
+    with a controller takes its air along at `chamber_rate_c_s` behind a lag of `chamber_lag_s`, and back to
+    the room with `chamber_off_lag_s` when it is switched off.
     """
 
     block: Block
@@ -74,26 +74,6 @@ class WorldSettings:
         unknown = sorted(set(self.stand) - set(STAND_NAMES))
         if unknown:
             raise ValueError(f"not a stand error: {', '.join(unknown)}; known are {', '.join(STAND_NAMES)}")
-
-
-@dataclass(frozen=True)
-class _Pose:
-    """How the block stands from `since_s` on. Compared by identity: each pose is an event of its own.
-
-    `demanded_rad` is where the head was sent, which a fault may keep it from; `stuck` that one has. `input_v`
-    is the voltage at all three inputs in place of the block's signals, None for the signals.
-    """
-
-    since_s: float
-    installation: str
-    series: int
-    stand_rad: Floats
-    turn: HeadTurn
-    setting_error_rad: float
-    direction: Direction | None
-    demanded_rad: float
-    stuck: bool = False
-    input_v: float | None = None
 
 
 class World:
@@ -120,14 +100,21 @@ class World:
         installation = next(iter(settings.model.installations))
         stand_rad = self._stand_rad(installation, 1)
         at_zero = HeadTurn(now_s, 0.0, 0.0)
-        self._poses = [_Pose(now_s, installation, 1, stand_rad, at_zero, 0.0, None, 0.0)]
+        self._poses = [Pose(now_s, installation, 1, stand_rad, at_zero, 0.0, None, 0.0)]
+        self._read: list[Visit] = []
+        self._told_scan: tuple[int, ...] = ()
+        self._triggered: dict[int, tuple[int, ...]] = {}
 
     # --- random numbers -----------------------------------------------------------------------------
 
-    def begin_step(self, key: str) -> None:
-        """From now on key random numbers by this step of the procedure (its attempt included)."""
+    def begin_step(self, key: str, scan: tuple[int, ...] = ()) -> None:
+        """From now on key random numbers by this step of the procedure (its attempt included).
+
+        `scan` holds the channels 0, 1, 2 in the order in which it reads them. Where it is not told, it is
+        that of the triggers, which wires of several meters may mix up.
+        """
         with self._lock:
-            self._step = key
+            self._step, self._told_scan = key, scan
             self._counts.clear()
 
     def random(self, purpose: str, *key: object) -> np.random.Generator:
@@ -254,12 +241,51 @@ class World:
                 self.ramp_chamber(self._chamber_demand_c)
 
     def new_reading(self, channel: Channel) -> int:
-        """Begin a reading of a channel: draw its voltmeter error; return its number within the step."""
+        """Begin a reading of a channel: draw its voltmeter error; return its number within the step.
+
+        A pose that was read with the head at rest is one that effects look back to. The order in which the
+        channels are begun is that of the scan.
+        """
         with self._lock:
+            now_s, pose = self.clock.now_s(), self._poses[-1]
+            index, before = CHANNELS.index(channel), self._triggered.get(id(pose), ())
+            in_turn = (index,) if index in before else (*before, index)
+            self._triggered[id(pose)] = self._told_scan or in_turn
+            if now_s >= pose.turn.arrives_s:
+                if self._read and self._read[-1].pose is pose:
+                    self._read.pop()
+                self._read.append(self._visit(pose, now_s))
             number = self.count("reading", channel)
             generator = self.random(VOLTMETER_ERROR, channel, number)
             self._voltmeter_error_v[channel] = self._draw(VOLTMETER_ERROR, generator)
             return number
+
+    def recall(
+        self,
+        installation: str | None,
+        series: int,
+        scale_angle_rad: float,
+        direction: Direction | None,
+        elapsed_s: float,
+        *,
+        block_c: float | None = None,
+        input_v: float | None = None,
+        scan: tuple[int, ...] = (0, 1, 2),
+    ) -> None:
+        """Say that a setting was read before the world was set up again, for effects that look back.
+
+        Arguments are as recorded; without an installation the block was as in the last setting told. To be
+        called in the order of measurement, before anything is read.
+        """
+        with self._lock:
+            time_s = self.began_s + elapsed_s
+            pose = self._read[-1].pose if self._read else self._poses[-1]
+            if installation is not None:
+                at_rest = HeadTurn(time_s, scale_angle_rad, scale_angle_rad)
+                stand_rad = self._stand_rad(installation, series)
+                pose = Pose(time_s, installation, series, stand_rad, at_rest, 0.0, direction, scale_angle_rad)
+            known_c = self.block_c_at(time_s) if block_c is None else block_c
+            self._read.append(Visit(replace(pose, input_v=input_v), time_s, elapsed_s, known_c, scan))
 
     # --- what is true -------------------------------------------------------------------------------
 
@@ -332,7 +358,7 @@ class World:
             pose = self._poses[max(0, bisect_right(self._poses, at_s, key=lambda p: p.since_s) - 1)]
             # Without effects the output at rest depends on the pose alone; an effect may look at time and heat.
             at_rest = at_s >= pose.turn.arrives_s and not self.settings.model.effects
-            key = id(pose) if at_rest else (id(pose), at_s)
+            key = id(pose) if at_rest else (id(pose), at_s, self._scan(pose))
             signals = self._signals.get(key)
             if signals is None:
                 if len(self._signals) >= _CACHED_SIGNALS:
@@ -340,34 +366,22 @@ class World:
                 signals = self._signals[key] = self._model_readings(pose, at_s)
             return float(signals[CHANNELS.index(channel)]) + self._voltmeter_error_v[channel]
 
-    def _model_readings(self, pose: _Pose, time_s: float) -> Floats:
-        """Return the three signals of a pose, V, shape (3,)."""
-        conditions = Conditions.of(
-            [pose.installation],
-            [pose.turn.angle_rad(time_s)],
-            series=[pose.series],
-            direction=[pose.direction or 0],
-            time_s=[time_s - self.began_s],
-            temperature_c=[self.block_c_at(time_s) - self.settings.ambient_c],
-        )
-        if pose.input_v is not None:
-            readings: Floats = self._voltmeter_readings(np.full((1, 3), pose.input_v), conditions)[0]
-            return readings
-        signals: Floats = self.settings.model.readings(
-            self.settings.block, conditions, pose.stand_rad[np.newaxis, :], pose.setting_error_rad
-        )[0]
+    def _model_readings(self, pose: Pose, time_s: float) -> Floats:
+        """Return the three signals of a pose, V, shape (3,), after the settings read before it."""
+        model, before = self.settings.model, []
+        if model.needs_history:
+            before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
+        visits = [*before, self._visit(pose, time_s)]
+        signals: Floats = readings_of(visits, model, self.settings.block)[-1]
         return signals
 
-    def _voltmeter_readings(self, input_v: Floats, conditions: Conditions) -> Floats:
-        """Return what the meters read of voltages that do not come from the block: their own effects alone."""
-        readings = input_v
-        for applied in self.settings.model.effects:
-            if applied.effect.stage is Stage.VOLTMETER_READING:
-                values = applied.complete_values()
-                readings = readings + applied.effect.addition(
-                    values, input_v, conditions, self.settings.block
-                )
-        return readings
+    def _visit(self, pose: Pose, time_s: float) -> Visit:
+        return Visit(pose, time_s, time_s - self.began_s, self.block_c_at(time_s), self._scan(pose))
+
+    def _scan(self, pose: Pose) -> tuple[int, ...]:
+        """Return the channels in the order of the scan; those that nobody triggered yet come after the others."""
+        begun = self._triggered.get(id(pose), self._told_scan)
+        return (*begun, *(index for index in range(len(CHANNELS)) if index not in begun))
 
     def terminals(self, channel: Channel) -> Terminals:
         """Return what a meter that is wired to `channel` sees."""

@@ -1,10 +1,14 @@
 """Makes the helpers beside the tests importable by their bare names; a command line in an empty folder."""
 
 import io
+import os
 import sys
 from pathlib import Path
 
 import pytest
+
+# as `bench diagnose` has it: with many small matrices the threads would wait for one another
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -3,11 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from paper_bench import STAND_U, TRUTH, simulate
+from paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, TRUTH, U0, K, design, simulate, specific_force
 
-from bench.calibration import calibrate
+from bench.calibration import Calibration, calibrate
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.readings import Readings, make_readings
+
+MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+ROLL_U = 30 * ARCSEC
+STAND_WITH_ROLL = STAND_U | {"mounting_roll": ROLL_U}
 
 
 @dataclass(frozen=True)
@@ -51,12 +56,11 @@ def rms(values: np.ndarray) -> np.ndarray:
 
 def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
     """Simulate and calibrate the runs of these numbers, noise sizes unknown; run k has the seed [seed, k]."""
-    model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
     rows = []
     for k in numbers:
         readings = simulate(np.random.default_rng([seed, k]), noise_v, passes=passes)
-        best = calibrate(readings, model, STAND_U, 9.81)
-        closed = calibrate(readings, model, STAND_U, 9.81, "closed-form")
+        best = calibrate(readings, MODEL, STAND_U, 9.81)
+        closed = calibrate(readings, MODEL, STAND_U, 9.81, "closed-form")
         rows.append(
             (
                 best.block.vector - TRUTH,
@@ -69,3 +73,60 @@ def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
             )
         )
     return Runs(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def free_forces(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Directions all round, uniform on the sphere, shape (count, 3): the specific force in free positions."""
+    directions = rng.normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def with_free(readings: Readings, forces: np.ndarray, noise: np.ndarray | float) -> Readings:
+    """The readings with further rows F, in which the block of (11) feels `forces` (m, 3), g."""
+    count = len(forces)
+    return make_readings(
+        [*readings.installation.tolist(), *["F"] * count],
+        [*readings.pass_number.tolist(), *[1] * count],
+        [*readings.point.tolist(), *range(1, count + 1)],
+        np.concatenate([readings.angle_rad, np.full(count, np.nan)]),
+        np.concatenate([readings.signal, forces @ K.T + U0 + noise]),
+    )
+
+
+def simulate_with_roll(rng: np.random.Generator, noise_v: float, passes: int, count: int) -> Readings:
+    """The paper's procedure with a third mounting angle in each installation, then free positions."""
+    installation, pass_number, point, phi = design(passes)
+    at = np.array([int(i) - 1 for i in installation])
+    sizes = [*STAND_U.values(), ROLL_U]
+    alpha1, alpha2, alpha3, alpha5 = rng.normal(0.0, sizes, (2, 4))[at].T
+    setting = rng.normal(0.0, SETTING_U_RAD, len(phi))
+    force = specific_force(installation, phi, alpha1, alpha2, alpha3, setting, alpha5)
+    signal = force @ K.T + U0 + rng.normal(0.0, noise_v, (len(phi), 3))
+    readings = make_readings(installation, pass_number, point, phi, signal)
+    return with_free(readings, free_forces(count, rng), rng.normal(0.0, noise_v, (count, 3)))
+
+
+def run_joined(seed: int, numbers: range, noise_v: float, passes: int = 3, count: int = 8) -> np.ndarray:
+    """(estimate - truth)/u (runs, 12) where free positions join; run k has the seed [seed, k]."""
+    results: list[Calibration] = [
+        calibrate(
+            simulate_with_roll(np.random.default_rng([seed, k]), noise_v, passes, count),
+            MODEL,
+            STAND_WITH_ROLL,
+            9.81,
+        )
+        for k in numbers
+    ]
+    return np.array([(r.block.vector - TRUTH) / r.u for r in results])
+
+
+def simulate_many(seed: int, runs: int, noise_v: float) -> np.ndarray:
+    """Signals (runs, 54, 3) of as many runs of the paper's procedure, each with stand errors of its own."""
+    rng = np.random.default_rng(seed)
+    installation, _, _, phi = design()
+    at = np.array([int(i) - 1 for i in installation])
+    stand = rng.normal(0.0, list(STAND_U.values()), (runs, 2, 3))[:, at].reshape(-1, 3)
+    setting = rng.normal(0.0, SETTING_U_RAD, len(stand))
+    force = specific_force(installation * runs, np.tile(phi, runs), *stand.T, setting)
+    signal = force @ K.T + U0 + rng.normal(0.0, noise_v, force.shape)
+    return signal.reshape(runs, len(phi), 3)

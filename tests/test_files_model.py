@@ -1,8 +1,11 @@
 """Model files: effects by name with values in any unit of their dimension."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from bench.bench_file import load_bench
 from bench.model import CATALOGUE, AppliedEffect
 from bench.model_file import load_model, write_model_file
 from bench.yaml_file import FileMistakes
@@ -112,3 +115,91 @@ def test_a_model_is_written_once_and_read_back_as_it_was(tmp_path):
     with pytest.raises(FileMistakes, match="exists and is not overwritten"):
         write_model_file(path, "other", [])
     assert path.read_bytes() == before
+
+
+HEAD = "model_file: 1\nname: m\neffects:\n"
+
+
+def test_mountings_and_shapes(tmp_path):
+    text = HEAD + "  - name: turn_on_shift\n    installations: ['2', 1/3]\n    parameters: {step: 60 ug}\n"
+    text += "  - name: warm_up\n    parameters: {A: 150 ug, tau: 900 s}\n"
+    text += "  - name: axis_wobble\n    parameters: {sine: 5 arcsec, harmonic: 2}\n"
+    shift, warm, wobble = load(tmp_path, text.replace("harmonic: 2", "harmonic: '2'")).applied_effects()
+    assert shift.installations == ("2", "1/3")
+    assert warm.installations == ()
+    assert float(warm.complete_values()["tau"]) == 900.0
+    assert warm.shapes_text() == "tau 15 min"
+    assert float(wobble.complete_values()["harmonic"]) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "told"),
+    [
+        ("warm_up\n    parameters: {tau: 0 min}", "expected tau to be more than nothing, got '0 min'"),
+        ("warm_up\n    parameters: {tau: -5 min}", "expected tau to be more than nothing, got '-5 min'"),
+        ("warm_up\n    parameters: {tau: 5 uV}", "expected a value of tau such as '20 min', got '5 uV'"),
+        (
+            "warm_up\n    parameters: {tau: {value: 5 min, u: 1 min}}",
+            "tau is a shape: a fit holds it as it is",
+        ),
+        ("warm_up\n    parameters: {tau: {x: 5 min}}", "tau has one value, not one for each channel"),
+        ("thermal_bias\n    parameters: {lag: -1 min}", "expected lag to be nothing or more, got '-1 min'"),
+        ("hysteresis\n    installations: 2\n    parameters: {}", "installations"),
+    ],
+)
+def test_a_shape_or_mounting_that_cannot_be_is_a_mistake(tmp_path, effect, told):
+    with pytest.raises(FileMistakes) as error:
+        load(tmp_path, HEAD + f"  - name: {effect}\n")
+    assert len(error.value.mistakes) == 1
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "allowed"),
+    [
+        ("warm_up", "warm_up", False),
+        ("warm_up\n    channels: [x]", "warm_up\n    channels: [y, z]", True),
+        ("warm_up\n    channels: [x]", "warm_up\n    channels: [x, z]", False),
+        ("warm_up\n    parameters: {tau: 10 min}", "warm_up\n    parameters: {tau: 600 s}", False),
+        ("warm_up\n    parameters: {tau: 10 min}", "warm_up\n    parameters: {tau: 20 min}", True),
+        ("warm_up\n    parameters: {tau: 20 min}", "warm_up", False),
+        ("backlash\n    channels: [x]", "backlash\n    channels: [y]", False),
+        ("mounting_offset\n    installations: ['1']", "mounting_offset\n    installations: ['2']", True),
+    ],
+)
+def test_an_effect_stands_once(tmp_path, first, second, allowed):
+    entries = "".join(
+        f"  - name: {one}\n" + ("" if "parameters" in one else "    parameters: {}\n")
+        for one in (first, second)
+    )
+    if allowed:
+        assert len(load(tmp_path, HEAD + entries).applied_effects()) == 2
+    else:
+        with pytest.raises(FileMistakes, match="stands twice for the same channel"):
+            load(tmp_path, HEAD + entries)
+
+
+def test_an_effect_of_a_mounting_that_the_bench_does_not_have_is_a_mistake(tmp_path):
+    path = tmp_path / "model.yaml"
+    entry = "  - name: mounting_offset\n    parameters: {angle: 90 arcsec}\n    installations: "
+    path.write_text(HEAD + entry + "[1, 2/3]\n", encoding="utf-8")
+    assert load_model(path, {"1", "2"}).effects[0].installations == ("1", "2/3")
+    path.write_text(HEAD + entry + "[1, 7, 2/1, 2/b]\n", encoding="utf-8")
+    load_model(path)
+    with pytest.raises(FileMistakes) as error:
+        load_model(path, {"1", "2"})
+    told = [m.text for m in error.value.mistakes]
+    series = "expected a series from 2 on after the slash, such as '2/2', got"
+    assert told == ["unknown installation '7'; known: 1, 2", f"{series} '2/1'", f"{series} '2/b'"]
+
+
+def test_a_bench_file_tells_the_line_of_such_a_mounting(tmp_path):
+    shipped = (Path(__file__).parents[1] / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
+    entry = "  - name: turn_on_shift\n    installations: [3]\n    parameters: {step: 60 ug}\n"
+    path = tmp_path / "bench.yaml"
+    path.write_text(shipped + "\neffects:\n" + entry, encoding="utf-8")
+    line = path.read_text(encoding="utf-8").splitlines().index("    installations: [3]") + 1
+    with pytest.raises(FileMistakes, match=rf":{line}: .*unknown installation '3'; known: 1, "):
+        load_bench(path)
+    path.write_text(path.read_text(encoding="utf-8").replace("[3]", "[2]"), encoding="utf-8")
+    assert load_bench(path).applied_effects()[0].installations == ("2",)

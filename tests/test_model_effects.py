@@ -93,12 +93,13 @@ class Probe(Effect):
 
 def test_stages_act_in_the_order_of_the_chain():
     """Each stage sees what the one before made, whatever the order in which the effects are listed."""
-    angle, force, output, meter = (
-        Probe(stage, constant) for stage, constant in zip(Stage, (0.1, 0.01, 0.002, 0.0005), strict=True)
+    stand, angle, force, output, meter = (
+        Probe(stage, constant) for stage, constant in zip(Stage, (0, 0.1, 0.01, 0.002, 0.0005), strict=True)
     )
-    got = readings([AppliedEffect(p, {}) for p in (meter, output, force, angle)])
+    got = readings([AppliedEffect(p, {}) for p in (meter, output, force, angle, stand)])
     installation, _, _, phi = design(1)
     a = specific_force(installation, phi + 0.1)
+    np.testing.assert_array_equal(stand.seen, np.zeros((18, 5)))
     np.testing.assert_allclose(angle.seen, phi, atol=1e-15)
     np.testing.assert_allclose(force.seen, a, atol=1e-14)
     np.testing.assert_allclose(output.seen, a + 0.01, atol=1e-14)

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,3 +147,15 @@ def test_numbers_are_rounded_as_the_guide_says():
     assert rounded(33102.2239, 123.4) == "33100"
     assert fixed(-0.00001, 3) == "0.000"
     assert scale_for(9.8e-5, "V").unit == "µV"
+
+
+def test_free_positions_alone_have_no_stand_and_no_block_that_nobody_named(bench, tmp_path):
+    """The page of readings without a bench file does not name the block of the shipped one."""
+    file = Path(__file__).parent / "data" / "xsens-38.csv"
+    assert bench("report", file, "--g", "9.81744", "--out", "o")[0] == 0
+    page = (tmp_path / "o" / "xsens-38.html").read_text(encoding="utf-8")
+    assert "triaxial block of the paper" not in page
+    assert "No reading here had a known orientation" in page
+    assert "Setting error" not in page
+    assert page.count("by convention") >= 3
+    assert "0.000000000" not in page

@@ -159,21 +159,21 @@ class _Heating(Effect):
     shown_by = "the test"
 
     def addition(self, values, signal, conditions, block):  # type: ignore[no-untyped-def]
-        """Return temperature on x, time on y."""
+        """Return temperature above 20 degC on x, time on y."""
         zero = 0.0 * conditions.time_s
-        return np.stack([conditions.temperature_c, conditions.time_s, zero], axis=-1) - signal
+        return np.stack([conditions.warmth_k, conditions.time_s, zero], axis=-1) - signal
 
 
-def test_effects_see_time_since_the_beginning_and_temperature_above_the_reference() -> None:
+def test_effects_see_time_since_the_beginning_and_the_temperature_of_the_block() -> None:
     model = ForwardModel({"1": INSTALLATION_1}, (AppliedEffect(_Heating(), {}),))
     clock = VirtualClock(start_s=1000.0)
-    world = World(WorldSettings(BLOCK, model, {}, 1, ambient_c=20.0), clock, began_s=1000.0)
+    world = World(WorldSettings(BLOCK, model, {}, 1, ambient_c=23.0), clock, began_s=1000.0)
     clock.sleep(250.0)
-    assert world.signal_v("x") == pytest.approx(0.0, abs=1e-12)
+    assert world.signal_v("x") == pytest.approx(3.0, abs=1e-12)
     assert world.signal_v("y") == pytest.approx(250.0)
-    world.set_chamber(60.0)
+    world.set_chamber(63.0)
     clock.sleep(750.0)
-    assert world.signal_v("x") == pytest.approx(40.0 * (1 - math.exp(-1)))
+    assert world.signal_v("x") == pytest.approx(3.0 + 40.0 * (1 - math.exp(-1)))
     assert world.signal_v("y", 1100.0) == pytest.approx(100.0)
 
 

@@ -2,7 +2,7 @@
 
 from bench.calibration.calibrate import ESTIMATORS, calibrate
 from bench.calibration.plausibility import implausible
-from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise
+from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise, Outlier
 from bench.calibration.verification import Verification, VerificationPoint, verify
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "Estimate",
     "LackOfFit",
     "Noise",
+    "Outlier",
     "Verification",
     "VerificationPoint",
     "calibrate",

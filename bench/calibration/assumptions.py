@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibration.design import FIXED, SYMBOLS, Problem, StandUnknown
+from bench.calibration.design import FIXED, SYMBOLS, Problem
+from bench.calibration.null_space import Kind, told_axis
+from bench.calibration.observability import Columns, Observability, columns_of, with_angles
 from bench.calibration.result import ARCSEC, CalibrationError
 from bench.model.block import COEFFICIENTS, Block
 from bench.model.geometry import STAND_ANGLES
 
 Floats = NDArray[np.float64]
 
-MATTERS = 0.02
+MATTERS: Final = 0.02
 """A coefficient is named when it takes more than this part of the largest effect of an assumption."""
+MOST_TOLD: Final = 8
+"""More stand angles than these are told by their symbols."""
 
 
 def require_rank(force: Floats) -> None:
@@ -43,13 +47,11 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
 
     `gain` (12, n, 3) is the estimator's map from readings to coefficients.
     """
-    sentences = [_absent(problem, block, gain, unit, name) for name in _assumed_angles(problem)]
-    undetermined = _undetermined_by_data(problem, block)
-    if undetermined:
-        sentences.append(
-            f"{', '.join(undetermined)}: in some combination a common turn of the block's axes, which no "
-            "reading shows; only the limits of the bench file hold it"
-        )
+    assumed = [name for name in _ASSUMED if not _is_unknown(problem, name)]
+    columns = columns_of(with_angles(problem, assumed), block)
+    beyond = [name for name in columns.names if name.startswith(tuple(f"{SYMBOLS[a]}[" for a in assumed))]
+    sentences = [_absent(problem, columns, block, gain, unit, name) for name in assumed]
+    sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
         "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it",
         f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and nothing shows it",
@@ -59,30 +61,63 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     return tuple(sentences)
 
 
-def _assumed_angles(problem: Problem) -> list[str]:
-    taken = {STAND_ANGLES[s.column] for s in problem.stand}
-    return [name for name in ("mounting_roll",) if name not in taken]
+_ASSUMED: Final = ("mounting_roll",)
+"""Stand angles that every bracket has and that a bench file may leave out."""
 
 
-def _absent(problem: Problem, block: Block, gain: Floats, unit: str, name: str) -> str:
+def _is_unknown(problem: Problem, name: str) -> bool:
+    return any(STAND_ANGLES[s.column] == name for s in problem.stand)
+
+
+def _absent(problem: Problem, columns: Columns, block: Block, gain: Floats, unit: str, name: str) -> str:
     """Say what an arcsecond of a stand angle that is assumed zero puts into the coefficients."""
-    column = STAND_ANGLES.index(name)
+    oriented = gain[:FIXED].reshape(FIXED, -1)
     mounts = problem.conditions.mounts
     parts = []
-    for mount in range(len(mounts)):
-        alone = replace(problem, stand=(StandUnknown(mount, column, ARCSEC),), effects=())
-        step = np.array([ARCSEC])
-        shift = alone.predict(block, step) - alone.predict(block, 0 * step)
-        change = np.einsum("pni,ni->p", gain[:FIXED], shift)
+    for installation in dict.fromkeys(mount.installation for mount in mounts):
+        own = [mount for mount in mounts if mount.installation == installation]
+        # the modulus does not depend on the stand's angles: the rows behind those of the gain stay as they are
+        shifts = [columns.of(f"{SYMBOLS[name]}[{mount}]")[: oriented.shape[1]] * ARCSEC for mount in own]
+        change = max((oriented @ shift for shift in shifts), key=lambda one: float(np.max(np.abs(one))))
         largest = float(np.max(np.abs(change)))
         told = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
         if told:
+            where = f"one of the {len(own)} mountings" if len(own) > 1 else ""
+            where = f"{where} in installation {installation}".strip().removeprefix("in ")
             what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in told[:3])
-            parts.append(f"1 arcsec in installation {mounts[mount]} puts {what}")
+            parts.append(f"1 arcsec in {where} puts {what}")
     return (
-        f"{name} ({SYMBOLS[name]}, the third mounting angle) is assumed zero and nothing in these readings "
-        f"shows it: " + ("; ".join(parts) if parts else "it does not act here")
+        f"{name} ({SYMBOLS[name]}, the third mounting angle) is assumed zero and "
+        f"{_shown(columns, oriented.shape[1], block, name)}: "
+        + ("; ".join(parts) if parts else "it does not act here")
     )
+
+
+def _shown(columns: Columns, oriented: int, block: Block, name: str) -> str:
+    """Whether readings show an angle where it is no unknown; common turns of the block's axes aside.
+
+    Of the rows of `columns` the first `oriented` are signals, those behind them moduli.
+    """
+    if _is_hidden(columns, block, name):
+        return "nothing in these readings shows it"
+    if not _is_hidden(Columns(columns.rows[:oriented], columns.names), block, name):
+        return "these readings would show it if the bench file stated its size"
+    pairs = [
+        f"the {d.only} of {' and '.join(sorted(d.others))}"
+        for d in columns.observability(block).directions
+        if d.kind is Kind.TURN and d.only and d.others[0].startswith(f"{SYMBOLS[name]}[")
+    ]
+    what = " and ".join(pairs) or "what is no common turn of the block's axes"
+    return (
+        f"of it the readings that joined by |a| = 1 g would show {what}, if the bench file stated its size; "
+        "until then it goes into the coefficients"
+    )
+
+
+def _is_hidden(columns: Columns, block: Block, name: str) -> bool:
+    found = columns.observability(block).directions
+    hidden = {member for d in found if d.kind is not Kind.TURN for member in d.members}
+    return any(member.startswith(f"{SYMBOLS[name]}[") for member in hidden)
 
 
 def _small(value: float, unit: str) -> str:
@@ -90,17 +125,29 @@ def _small(value: float, unit: str) -> str:
     return f"{value * 1e6:+.3g} µV" if unit == "V" else f"{value:+.3g} {unit}"
 
 
-def _undetermined_by_data(problem: Problem, block: Block) -> list[str]:
-    """Names of the stand angles that only their limits hold: they take part in a null vector of the data.
+def _together(names: list[str]) -> str:
+    """Return stand angles in words; those of many mountings by their symbols."""
+    if len(names) <= MOST_TOLD:
+        return ", ".join(names)
+    symbols = dict.fromkeys(name.partition("[")[0] for name in names)
+    mountings = dict.fromkeys(name.partition("[")[2] for name in names)
+    return f"{', '.join(symbols)} of {len(mountings)} mountings"
 
-    At the prior means: away from them terms of second order lend the null vectors a little size.
-    """
-    others = problem.prior_mean
-    jacobian = problem.jacobian(block, others).reshape(-1, FIXED + len(others))
-    scaled = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    _, size, directions = np.linalg.svd(scaled, full_matrices=False)
-    null = directions[size < 1e-4 * size[0]]
-    if not len(null):
-        return []
-    part = np.abs(null[:, FIXED:]).max(axis=0)
-    return [name for name, weight in zip(problem.names(), part, strict=True) if weight > 0.05]
+
+def _undetermined(found: Observability, unit: str) -> list[str]:
+    """Sentences on the unknowns that only their limits hold: turns of the axes in one, others each by itself."""
+    turns = [d for d in found.directions if d.kind is Kind.TURN]
+    sentences = []
+    if turns:
+        taking_part = {member for d in turns for member in d.others}
+        names = _together([name for name in found.names if name in taking_part])
+        axes = ", ".join(told_axis(d.axis) for d in turns)
+        sentences.append(
+            f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
+            "reading shows; only the limits of the bench file hold it"
+        )
+    return sentences + [
+        f"{d.text(unit)}; only the limits of the bench file hold it"
+        for d in found.directions
+        if d.kind is not Kind.TURN
+    ]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +17,16 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 FIXED = 12
 """The coefficients come first among the unknowns and have no prior."""
+
+UPPER = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])
+"""Places of the coefficients that are unknown where K is upper triangular by convention."""
+
+STEP_RAD = 1e-5
+"""Step of the central differences: their error and that of rounding are both about 1e-11 of a derivative."""
 
 WEAK = 10.0
 """Prior of an effect's parameter whose size nobody stated, in plausible sizes: wide, so that data decide."""
@@ -54,13 +63,44 @@ class EffectUnknown:
 
 
 @dataclass(frozen=True)
+class FreeRows:
+    """Readings of which the modulus of the specific force alone is known, 1 g: `signal` (m, 3)."""
+
+    signal: Floats
+    conditions: Conditions
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The model about a point: what it predicts (n, 3), its derivatives by all unknowns (n, 3, 12 + q).
+
+    `slope` (n, 3) is du/dphi, how a setting error of the head shows in the signals, unit/rad.
+    """
+
+    predicted: Floats
+    jacobian: Floats
+    slope: Floats
+
+
+@dataclass(frozen=True)
 class Problem:
-    """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects."""
+    """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
+
+    `free` are readings that join by the modulus alone; `upper` fixes K as upper triangular, which a fit to
+    free readings alone needs.
+    """
 
     model: ForwardModel
     conditions: Conditions
     stand: tuple[StandUnknown, ...]
     effects: tuple[EffectUnknown, ...]
+    free: FreeRows | None = None
+    upper: bool = False
+
+    @property
+    def active(self) -> Ints:
+        """Places of the coefficients that are unknown."""
+        return UPPER if self.upper else np.arange(FIXED)
 
     @property
     def prior_mean(self) -> Floats:
@@ -73,17 +113,25 @@ class Problem:
         return np.array([*(s.prior_u for s in self.stand), *(e.prior_u for e in self.effects)])
 
     def names(self) -> list[str]:
-        """Names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]"."""
+        """Names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
+
+        An effect of certain mountings has them at its end: "turn_on_shift.step[y][2]"; of one that is there
+        in several shapes, the shape stands behind: "axis_wobble.sine(harmonic 2)".
+        """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []
         for e in self.effects:
+            applied = self.model.effects[e.effect]
             channel = "" if e.channel is None else f"[{CHANNELS[e.channel]}]"
-            effects.append(f"{self.model.effects[e.effect].effect.name}.{e.parameter}{channel}")
-        return stand + effects
+            mounts = f"[{'+'.join(applied.installations)}]" if applied.installations else ""
+            effects.append(f"{applied.effect.name}.{e.parameter}{channel}{mounts}")
+        shapes = [self.model.effects[e.effect].shapes_text() for e in self.effects]
+        named = zip(effects, shapes, strict=True)
+        return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]
 
     def predict(self, block: Block, others: Floats, setting_rad: float = 0.0) -> Floats:
         """Return the readings (n, 3) that the model predicts for these values of the unknowns."""
-        model = replace(self.model, effects=self._effects(others)) if self.effects else self.model
+        model = replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
         return model.readings(block, self.conditions, self.stand_matrix(others), setting_rad)
 
     def stand_matrix(self, others: Floats) -> Floats:
@@ -93,7 +141,8 @@ class Problem:
             matrix[unknown.mount, unknown.column] = value
         return matrix
 
-    def _effects(self, others: Floats) -> tuple[AppliedEffect, ...]:
+    def effects_at(self, others: Floats) -> tuple[AppliedEffect, ...]:
+        """Return the model's effects with these values of their parameters."""
         values = [applied.complete_values() for applied in self.model.effects]
         for value, unknown in zip(others[len(self.stand) :], self.effects, strict=True):
             if unknown.channel is None:
@@ -106,39 +155,89 @@ class Problem:
 
     def slope(self, block: Block, others: Floats) -> Floats:
         """Return du/dphi (n, 3): how a setting error of the head shows in the three signals, unit/rad."""
-        h = 1e-5
-        forward, back = self.predict(block, others, h), self.predict(block, others, -h)
-        return (forward - back) / (2 * h)
+        forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
+        return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, block: Block, others: Floats) -> Floats:
-        """Return the derivatives of the readings by all unknowns, shape (n, 3, 12 + q).
+        """Return the derivatives of the readings by all unknowns, shape (n, 3, 12 + q)."""
+        return self.linear(block, others).jacobian
+
+    def linear(self, block: Block, others: Floats) -> Linear:
+        """Return the model made linear about a point.
 
         Central differences of the forward model itself, so that there is no second formula to keep in step;
         exact for the coefficients, in which a model without effects is linear.
         """
-        n = len(self.conditions)
-        columns = np.empty((n, 3, FIXED + len(others)))
-        columns[:, :, :FIXED] = self._coefficient_columns(block, others)
+        if not len(self.conditions):
+            nothing = np.zeros((0, 3))
+            return Linear(nothing, np.zeros((0, 3, FIXED + len(others))), nothing)
+        if self.model.effects:
+            return self._linear_with_effects(block, others)
+        force, by_angle, by_stand = self.forces(block, others)
+        columns = np.zeros((len(force), 3, FIXED + len(others)))
+        columns[:, :, :FIXED] = coefficient_columns(force)
+        for j, unknown in enumerate(self.stand):
+            own = self.conditions.mount == unknown.mount
+            columns[own, :, FIXED + j] = by_stand[unknown.column][own] @ block.K.T
+        return Linear(block.output(force), columns, by_angle @ block.K.T)
+
+    def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
+        """Return specific forces (n, 3), their derivatives by the head's angle and by each stand angle in use.
+
+        The latter by the column of `STAND_ANGLES`, each in the mounting of the row. All steps go through the
+        forward model at once: every step is a set of mountings of its own.
+        """
+        n, used = len(self.conditions), self._columns
+        stand = self.stand_matrix(others)
+        stands = np.repeat(stand[None], 3 + 2 * len(used), axis=0)
+        for i, column in enumerate(used):
+            stands[3 + 2 * i, :, column] += STEP_RAD
+            stands[4 + 2 * i, :, column] -= STEP_RAD
+        setting = np.zeros((len(stands), n))
+        setting[1], setting[2] = STEP_RAD, -STEP_RAD
+        force = self.model.specific_force(
+            self._many_conditions, stands.reshape(-1, len(STAND_ANGLES)), block, setting.ravel()
+        ).reshape(len(stands), n, 3)
+        slopes = (force[1::2] - force[2::2]) / (2 * STEP_RAD)
+        return force[0], slopes[0], {column: slopes[1 + i] for i, column in enumerate(used)}
+
+    @cached_property
+    def _columns(self) -> tuple[int, ...]:
+        """The stand angles that are unknown in any mounting."""
+        return tuple(sorted({unknown.column for unknown in self.stand}))
+
+    @cached_property
+    def _many_conditions(self) -> Conditions:
+        """The conditions once for each step of the differences, with mountings of their own."""
+        c, times = self.conditions, 3 + 2 * len(self._columns)
+        tiled: dict[str, Any] = {
+            f.name: np.concatenate([getattr(c, f.name)] * times)
+            for f in fields(c)
+            if f.name not in {"mounts", "mount", "turns"} and isinstance(getattr(c, f.name), np.ndarray)
+        }
+        mount = (np.arange(times)[:, None] * len(c.mounts) + c.mount).ravel()
+        return replace(c, mounts=c.mounts * times, mount=mount, **tiled)
+
+    def _linear_with_effects(self, block: Block, others: Floats) -> Linear:
+        columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
+        shift = 1e-3 * float(np.max(np.abs(block.K)))
+        for j in range(FIXED):
+            step = np.zeros(FIXED)
+            step[j] = shift
+            up = self.predict(Block.from_vector(block.vector + step), others)
+            down = self.predict(Block.from_vector(block.vector - step), others)
+            columns[:, :, j] = (up - down) / (2 * shift)
         for j in range(len(others)):
-            step = np.zeros_like(others)
-            step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else 1e-5
+            step = self.other_step(j)
             difference = self.predict(block, others + step) - self.predict(block, others - step)
             columns[:, :, FIXED + j] = difference / (2 * step[j])
-        return columns
+        return Linear(self.predict(block, others), columns, self.slope(block, others))
 
-    def _coefficient_columns(self, block: Block, others: Floats) -> Floats:
-        if not self.effects:
-            stand = self.stand_matrix(others)
-            return coefficient_columns(self.model.specific_force(self.conditions, stand, block))
-        columns = np.empty((len(self.conditions), 3, FIXED))
-        step = 1e-3 * float(np.max(np.abs(block.K)))
-        for j in range(FIXED):
-            shift = np.zeros(FIXED)
-            shift[j] = step
-            up = self.predict(Block.from_vector(block.vector + shift), others)
-            down = self.predict(Block.from_vector(block.vector - shift), others)
-            columns[:, :, j] = (up - down) / (2 * step)
-        return columns
+    def other_step(self, j: int) -> Floats:
+        """Return the step (q,) of the differences by unknown `j` after the coefficients."""
+        step = np.zeros(len(self.stand) + len(self.effects))
+        step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
+        return step
 
 
 def coefficient_columns(force: Floats) -> Floats:
@@ -150,8 +249,15 @@ def coefficient_columns(force: Floats) -> Floats:
     return columns
 
 
-def make_problem(model: ForwardModel, conditions: Conditions, stand_u: Mapping[str, float]) -> Problem:
-    """Set up the unknowns: a stand angle is one where its size is not zero, an effect's parameters all are.
+def make_problem(
+    model: ForwardModel,
+    conditions: Conditions,
+    stand_u: Mapping[str, float],
+    free: FreeRows | None = None,
+) -> Problem:
+    """Set up the unknowns: a stand angle is one where its size is not zero, an effect's sizes all are.
+
+    Its shapes (`Parameter.is_shape`) are not: they stay as the model has them.
 
     `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad. The prior of an effect's
     parameter lies about the value in the model with the standard uncertainty stated there, which must come
@@ -167,13 +273,15 @@ def make_problem(model: ForwardModel, conditions: Conditions, stand_u: Mapping[s
     effects = [
         unknown for index, applied in enumerate(model.effects) for unknown in _effect_unknowns(index, applied)
     ]
-    return Problem(model, conditions, stand, tuple(effects))
+    return Problem(model, conditions, stand, tuple(effects), free, upper=len(conditions) == 0)
 
 
 def _effect_unknowns(index: int, applied: AppliedEffect) -> list[EffectUnknown]:
     values = applied.complete_values()
     unknowns = []
     for p in applied.effect.parameters:
+        if p.is_shape:
+            continue
         given = np.broadcast_to(applied.u.get(p.name, 0.0), values[p.name].shape)
         rows = [CHANNELS.index(channel) for channel in applied.channels] if p.per_channel else [None]
         for row in rows:

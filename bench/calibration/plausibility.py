@@ -16,7 +16,7 @@ FARTHEST: Final = 0.2
 def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...]:
     """Return a sentence for each scale factor that contradicts its nominal value (x, y, z; V/g, with sign).
 
-    Signals in another unit than volts are not compared.
+    Signals in another unit than volts are not compared; free positions alone do not show a sign.
     """
     if result.unit != "V":
         return ()
@@ -29,9 +29,9 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
         )
         if int(np.argmax(row)) != i:
             told += f"; it answers most to {'xyz'[int(np.argmax(row))]}: are two channels or installations swapped?"
-        elif found * announced < 0:
+        elif found * announced < 0 and result.triangular is None:
             told += "; is the pair of wires reversed?"
-        elif abs(found / announced - 1) <= FARTHEST:
+        elif abs(abs(found / announced) - 1) <= FARTHEST:
             continue
         else:
             told += "; is it the block that the bench file names?"

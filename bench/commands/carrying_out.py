@@ -50,7 +50,7 @@ def carry_out(
     )
     out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
-        with _assembly(run, bench, wire, out) as (assembly, bar):
+        with _assembly(run, bench, history, wire, out) as (assembly, bar):
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -81,13 +81,19 @@ def carry_out(
 
 @contextmanager
 def _assembly(
-    run: Run, bench: BenchFile, wire: WireLog | None, out: Console
+    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
     """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
     bar = ProgressBar(run.plan, out, step_durations(run.plan))
     with bar:
         if run.simulated:
-            with dry_bench(bench, truth(run, bench), int(run.manifest["seed"]), wire) as assembly:
+            taken = [
+                event.data["reading"]
+                for event in (history.events if history else ())
+                if event.type == "step_done" and "reading" in event.data
+            ]
+            seed = int(run.manifest["seed"])
+            with dry_bench(bench, truth(run, bench), seed, wire, plan=run.plan, taken=taken) as assembly:
                 yield assembly, bar
         else:
             yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire), bar
@@ -162,7 +168,7 @@ def conclude(run: Run, target: str | None = None) -> int:
         out=None,
         skip_bad_rows=False,
     )
-    (source,) = load_sources(request)
+    source = analyse.told_of_temperatures(*load_sources(request))
     try:
         return _draw(run, source, target)
     except OSError as error:

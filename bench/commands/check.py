@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -14,6 +14,7 @@ from rich.table import Table
 from bench.bench_file import BenchFile, load_bench
 from bench.commands import CommandError, printing
 from bench.commands.source import bench_path, write_json
+from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.plan import Plan
 from bench.plan_check import check as check_against
@@ -26,6 +27,8 @@ from bench.plan_check import (
     undetermined,
 )
 from bench.plan_listing import listing
+from bench.planning.remedies import Outlook, outlook
+from bench.planning.settings import Cost, settings_of
 from bench.procedure import load_procedure
 from bench.shipped import copy_shipped, find_procedure
 from bench.terminal import duration
@@ -49,6 +52,7 @@ class _Findings:
     free_bytes: int
     largest_signal_v: float
     undetermined: Mapping[float | None, tuple[str, ...]]
+    outlook: Outlook | None
 
     @property
     def expected_s(self) -> float:
@@ -78,6 +82,7 @@ class _Findings:
                 {"temperature_c": at_c, "coefficients": list(names)}
                 for at_c, names in self.undetermined.items()
             ],
+            "observability": self.outlook and self.outlook.to_json(),
             "problems": list(self.problems),
             "dry_run_refuses": list(self.unanswered),
         }
@@ -130,6 +135,7 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> _Findings:
             f"{runs}: a run needs about {_told_bytes(needed)} of disk, and {_told_bytes(free)} are free; make "
             "room or choose another folder with --runs"
         )
+    undetermined_at = {at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()}
     return _Findings(
         plan=plan,
         bench=bench,
@@ -143,8 +149,19 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> _Findings:
         needed_bytes=needed,
         free_bytes=free,
         largest_signal_v=largest_signal_v(plan, bench),
-        undetermined={at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()},
+        undetermined=undetermined_at,
+        outlook=_outlook(plan, bench) if () in undetermined_at.values() else None,
     )
+
+
+def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
+    """What a calibration from the plan leaves open; None where an installation is not known."""
+    settings = settings_of(plan)
+    installations = bench.installation_models()
+    if not {s.mount.installation for s in settings} <= set(installations):
+        return None
+    cost = Cost.of_plan(plan, bench.line_frequency)
+    return outlook(settings, ForwardModel(installations), bench.nominal_block(), cost)
 
 
 def _free_bytes(folder: Path) -> int:
@@ -178,6 +195,8 @@ def _print(found: _Findings, *, every_step: bool) -> None:
         f"{_told_bytes(found.free_bytes)} are free"
     )
     for sentence in _told_coefficients(found.undetermined):
+        out.print(sentence)
+    for sentence in _told_outlook(found.outlook):
         out.print(sentence)
     for problem in found.problems:
         out.print(f"cannot be done: {problem}")
@@ -214,6 +233,29 @@ def _told_coefficients(undetermined: Mapping[float | None, tuple[str, ...]]) -> 
                 f"{where}no calibration by itself: the orientations determine {', '.join(determined)} and "
                 f"leave {', '.join(names)} open"
             )
+
+
+def _told_outlook(found: Outlook | None) -> Iterator[str]:
+    """Say what the readings leave open between coefficients and stand, and the cheapest ways to show it."""
+    if found is None:
+        return
+    for sentence in found.open:
+        yield f"leaves open: {sentence}"
+    if found.open:
+        ways = "; ".join(f"{r.text} ({_told_cost(r.cost_s)})" for r in found.remedies[:_WAYS_TOLD])
+        yield f"would be shown by: {ways or 'nothing that this bench can do'}"
+    if found.turns:
+        yield (
+            f"leaves open, as every procedure on one head does: a common turn of the block's axes (about "
+            f"{', '.join(found.turns)}); the limits of the stand's angles alone hold it"
+        )
+
+
+_WAYS_TOLD: Final = 2
+
+
+def _told_cost(seconds: float) -> str:
+    return f"about {duration(seconds)} more" if seconds else "no further readings"
 
 
 def _offer_dry_run(found: _Findings, procedure: str, bench_name: str | None) -> None:

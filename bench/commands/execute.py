@@ -43,11 +43,16 @@ class Request:
     runs: Path
     wire_log: Path | None = None
     json: str | None = None
+    follow: bool = False
 
 
 def run(request: Request) -> int:
     """Carry out `bench run`."""
     check_target(request.json)
+    if request.follow and request.json is not None:
+        raise CommandError(
+            "--follow makes two runs, and --json is the result of one; the folders of both hold theirs"
+        )
     if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
         raise CommandError(
             "a run on real instruments needs a bench file: say --bench FILE (or set BENCH_FILE), "
@@ -69,7 +74,7 @@ def run(request: Request) -> int:
         BENCH: bench_file_path.read_bytes(),
     }
     if request.model is not None:
-        load_model(request.model)
+        load_model(request.model, bench.installation_models())
         inputs[MODEL] = request.model.read_bytes()
     name = checked_name(request.name or free_name(plan.name, request.runs))
     manifest = {
@@ -90,7 +95,19 @@ def run(request: Request) -> int:
     with logged_wire(request.wire_log) as wire, Interrupts() as interrupts:
         record = Record.create(request.runs / name, manifest, inputs, utc_now, interrupts.shield)
         carry_out(Run(request.runs / name), record, None, wire, request.json)
-    return conclude(Run(request.runs / name), request.json)
+    status = conclude(Run(request.runs / name), request.json)
+    return max(status, _follow(request, name)) if request.follow else status
+
+
+def _follow(request: Request, name: str) -> int:
+    """Carry out what the diagnosis of a run proposes; a dry run draws another stand for the mountings to come."""
+    from bench.commands.following import follow
+
+    further = replace(request, seed=request.seed + 1, follow=False)
+    return follow(
+        Run(request.runs / name),
+        lambda procedure, called: run(replace(further, procedure=procedure, name=called)),
+    )
 
 
 def _included(procedure: Procedure) -> dict[str, bytes]:

@@ -23,10 +23,9 @@ def versions() -> dict[str, str]:
 
 def provenance(source: Source) -> dict[str, str]:
     """Return what the report says of where its numbers come from, in the order in which it says it."""
-    unit = source.bench.unit_under_test
     told = {
         "source": source.name,
-        "unit under test": f"{unit.type} {unit.serial}".strip(),
+        "unit under test": source.block_name or "not stated",
         "bench": f"{source.bench.name} (SHA-256 {source.bench_sha256})",
         "model": source.model.name,
     }

@@ -105,7 +105,7 @@ def _truth(bench: BenchFile, model: Path | None) -> ForwardModel:
     """Return the model that the world obeys: effects of the bench file and of the model file."""
     effects = bench.applied_effects()
     if model is not None:
-        effects += load_model(model).applied_effects()
+        effects += load_model(model, bench.installation_models()).applied_effects()
     return ForwardModel(bench.installation_models(), effects)
 
 

@@ -12,9 +12,9 @@ from typing import Any
 from bench.bench_file import BenchFile, load_bench
 from bench.commands import CommandError
 from bench.model import ForwardModel
-from bench.model_file import load_model
+from bench.model_file import ModelFile, load_model
 from bench.readings import Readings
-from bench.readings_csv import read_csv
+from bench.readings_csv import format_csv, read_csv
 from bench.record import MANIFEST, sha256
 from bench.run_folder import BENCH, IMPORTED, Run, find_run
 from bench.shipped import find_bench
@@ -55,6 +55,19 @@ class Source:
         return self.run is not None and self.run.simulated
 
     @property
+    def block_name(self) -> str:
+        """Type and serial number of the block; empty for a readings file with no bench file of its own."""
+        if self.run is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
+            return ""
+        unit = self.bench.unit_under_test
+        return f"{unit.type} {unit.serial}".strip()
+
+    @property
+    def made_at(self) -> str | None:
+        """Civil time at which the run was begun (ISO 8601); None where nobody recorded it."""
+        return self.run.created or None if self.run is not None else None
+
+    @property
     def stand_u(self) -> dict[str, float]:
         """Standard uncertainties of the stand's errors by name, rad (V for the voltmeter's)."""
         return {name: d.u for name, d in self.bench.stand_distributions().items()}
@@ -64,25 +77,33 @@ class Source:
 
         In the run's folder, in `--out`, or in a folder named after the command beside the readings file.
         """
-        out = self.request.out
-        if self.run is not None:
-            return (
-                out / f"{self.run.name}-{command}{suffix}" if out else self.run.folder / f"{command}{suffix}"
-            )
-        file = Path(self.name)
-        return (out or file.parent / command) / f"{file.stem}{suffix}"
+        return _output(self.name, self.run, self.request.out, command, suffix)
 
 
 def load_sources(request: Request) -> list[Source]:
     """Read all sources. Raises the first mistake found, as the readers do."""
-    if request.g_m_s2 is not None and not LEAST_GRAVITY <= request.g_m_s2 <= MOST_GRAVITY:
-        raise CommandError(f"--g {request.g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")
-    sources = [_load(name, request) for name in request.sources]
-    places = [source.output("", "") for source in sources]
+    check_gravity(request.g_m_s2)
+    check_places(request)
+    return [_load(name, request) for name in request.sources]
+
+
+def check_places(request: Request) -> None:
+    """Refuse sources of which one would write over what another wrote. Raises `CommandError`."""
+    places = [_output(name, _run_of(name, request.runs), request.out, "", "") for name in request.sources]
     for place in places:
         if places.count(place) > 1:
             raise CommandError(f"--out: two sources would write {place}*; give each a folder of its own")
-    return sources
+
+
+def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:
+    if run is not None:
+        return out / f"{run.name}-{command}{suffix}" if out else run.folder / f"{command}{suffix}"
+    return (out or Path(name).parent / command) / f"{Path(name).stem}{suffix}"
+
+
+def data_sha256(readings: Readings) -> str:
+    """Return the SHA-256 by which a model file knows readings: that of the readings file they make."""
+    return sha256(format_csv(readings).encode())
 
 
 def bench_path(given: str | None) -> Path:
@@ -107,15 +128,29 @@ def _load(name: str, request: Request) -> Source:
         readings = read_csv(run.folder / IMPORTED, installations, skip_bad_rows=request.skip_bad_rows)
     else:
         readings = run.readings()
-    readings = replace(readings, notes=(*notes, *readings.notes))
     gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
     if gravity is None:
         raise CommandError(f"{path}: gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)")
     model = ForwardModel(installations)
     if request.model is not None:
-        file = load_model(request.model)
-        model = ForwardModel(installations, file.applied_effects(), file.name)
+        model, told = _of_model_file(load_model(request.model, installations), readings, model)
+        notes += told
+    readings = replace(readings, notes=(*notes, *readings.notes))
     return Source(name, readings, bench, sha256(path.read_bytes()), model, gravity, run, request)
+
+
+def _of_model_file(
+    file: ModelFile, readings: Readings, plain: ForwardModel
+) -> tuple[ForwardModel, tuple[str, ...]]:
+    """Return the model of a file for these readings, with a note where they are what it was found in.
+
+    Its values have then seen the readings: as priors they would count them twice.
+    """
+    model = replace(plain, effects=file.applied_effects(), name=file.name)
+    if data_sha256(readings) not in (file.data_sha256 or "").split():
+        return model, ()
+    note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
+    return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note,)
 
 
 def _run_of(name: str, runs: Path) -> Run | None:
@@ -126,6 +161,12 @@ def _run_of(name: str, runs: Path) -> Run | None:
     if path.suffix.lower() in {".csv", ".txt"} and not (runs / name).is_dir():
         raise CommandError(f"{name}: no such readings file; check the name")
     return find_run(name, runs)
+
+
+def check_gravity(g_m_s2: float | None) -> None:
+    """Refuse a value of local gravity that is none on Earth. Raises `CommandError`."""
+    if g_m_s2 is not None and not LEAST_GRAVITY <= g_m_s2 <= MOST_GRAVITY:
+        raise CommandError(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")
 
 
 def check_target(target: str | None) -> None:

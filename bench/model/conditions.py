@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+REFERENCE_C: Final = 20.0
+"""The temperature from which effects count, unless `Conditions` states another, °C."""
+
+SETTING_S: Final = 120.0
+"""From one setting to the next where no time is given, s."""
+
+REMOUNT_S: Final = 1200.0
+"""What a remount takes beside that, s."""
 
 
 class Mount(NamedTuple):
@@ -25,10 +36,14 @@ class Mount(NamedTuple):
 
 @dataclass(frozen=True)
 class Conditions:
-    """Arrays over n readings.
+    """Arrays over n readings, in the order of measurement: effects look back along the rows.
 
-    `mount` (n,) indexes `mounts`; `angle_rad` is the head angle as read from its scale; `direction` is
-    +1, -1 or 0 (not known); `time_s` and `temperature_c` are NaN where not known.
+    `mount` (n,) indexes `mounts`, which stand in order of first appearance; `angle_rad` is the head angle as
+    read from its scale; `direction` is +1, -1 or 0 (not known); `time_s` (since the start of the run) and
+    `temperature_c` are NaN where not known; `scan_order` (n, 3) has the channels 0, 1, 2 in the order in
+    which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
+    installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
+    the head, NaN for an installation that it does not know.
     """
 
     mounts: tuple[Mount, ...]
@@ -39,9 +54,51 @@ class Conditions:
     direction: Ints
     time_s: Floats
     temperature_c: Floats
+    scan_order: Ints
+    reference_c: float = REFERENCE_C
+    turns: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
+
+    @property
+    def remounted(self) -> Bools:
+        """Where the block has another mounting than in the row before, shape (n,); true in the first row."""
+        return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
+
+    @cached_property
+    def elapsed_s(self) -> Floats:
+        """The time since the start of the run, s, shape (n,), also where it is not known.
+
+        A run without times is taken to go at `SETTING_S` a setting and `REMOUNT_S` more for a remount; rows
+        without a time between or beside others are placed by the same pace.
+        """
+        known = np.isfinite(self.time_s)
+        if known.all():
+            return self.time_s
+        steps = SETTING_S + REMOUNT_S * self.remounted
+        steps[:1] = 0.0
+        pace: Floats = np.cumsum(steps)
+        if not known.any():
+            return pace
+        late = np.interp(pace, pace[known], self.time_s[known] - pace[known])
+        return np.where(known, self.time_s, pace + late)
+
+    @cached_property
+    def warmth_k(self) -> Floats:
+        """Temperature less `reference_c`, K, shape (n,): zero where none is known.
+
+        Where some rows have a temperature, the others take it from their neighbours in time.
+        """
+        known = np.isfinite(self.temperature_c)
+        if not known.any():
+            return np.zeros(len(self))
+        warmth = self.temperature_c - self.reference_c
+        if known.all():
+            return warmth
+        order = np.argsort(self.elapsed_s[known], kind="stable")
+        between = np.interp(self.elapsed_s, self.elapsed_s[known][order], warmth[known][order])
+        return np.where(known, warmth, between)
 
     @classmethod
     def of(
@@ -55,22 +112,27 @@ class Conditions:
         direction: Sequence[int] | None = None,
         time_s: Sequence[float] | Floats | None = None,
         temperature_c: Sequence[float] | Floats | None = None,
+        scan_order: Sequence[Sequence[int]] | Ints | None = None,
+        reference_c: float = REFERENCE_C,
     ) -> Conditions:
-        """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known."""
+        """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
+
+        The scan order that is left out is x, y, z.
+        """
         n = len(installation)
         keys = [Mount(s, label) for s, label in zip(series or [1] * n, installation, strict=True)]
         mounts = tuple(dict.fromkeys(keys))
-        ints: dict[str, Ints] = {
-            "pass_number": np.asarray(pass_number or [1] * n, dtype=np.int64),
-            "point": np.asarray(point or range(1, n + 1), dtype=np.int64),
-            "direction": np.asarray(direction or [0] * n, dtype=np.int64),
-        }
+        order = [(0, 1, 2)] * n if scan_order is None else scan_order
         unknown = [float("nan")] * n
         return cls(
             mounts=mounts,
             mount=np.array([mounts.index(key) for key in keys], dtype=np.int64),
+            pass_number=np.asarray(pass_number or [1] * n, dtype=np.int64),
+            point=np.asarray(point or range(1, n + 1), dtype=np.int64),
             angle_rad=np.asarray(angle_rad, dtype=np.float64),
+            direction=np.asarray(direction or [0] * n, dtype=np.int64),
             time_s=np.asarray(unknown if time_s is None else time_s, dtype=np.float64),
             temperature_c=np.asarray(unknown if temperature_c is None else temperature_c, dtype=np.float64),
-            **ints,
+            scan_order=np.asarray(order, dtype=np.int64).reshape(n, 3),
+            reference_c=reference_c,
         )

@@ -78,6 +78,18 @@ def two_digits(u: float) -> str:
     return fixed(u, places(u)) if u > 0 else "0" if u == 0 else "–"
 
 
+def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
+    """Return a size with so many significant digits, large ones without a power of ten: "1860".
+
+    `down` rounds towards zero, as one rounds what must not be exceeded.
+    """
+    if down and value > 0.0:
+        step = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+        value = step * math.floor(value / step * (1.0 + 1e-9))
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if abs(float(text)) >= 10.0**digits else text
+
+
 def concise(value: float, u: float) -> str:
     """Return value and u in one: −2.177087(16), u in units of the last digit; 12.3(1.2) where u exceeds 1."""
     if not math.isfinite(u) or u <= 0.0:

@@ -20,6 +20,8 @@ FITS: Final = 0.01
 RULES: Final = {
     "simple acceptance": "passed when |Δg| ≤ limit at every verification point; "
     "the uncertainty is not taken off the limit (JCGM 106:2012, 8.2)",
+    "guarded": "passed when |Δg| + U ≤ limit at every verification point, U = 2u: "
+    "a guard band of U is taken off the limit (JCGM 106:2012, 8.3.2)",
 }
 
 
@@ -45,12 +47,21 @@ def render_report(content: ReportContent) -> str:
         noise=tables.noise(calibration),
         verification=_verification(content.verification),
         comparison=_comparison(calibration, other) if other else None,
-        residuals={
-            "by_angle": Markup(plots.residuals_by_angle(calibration)),  # noqa: S704 - our own drawing
-            "in_order": Markup(plots.residuals_in_order(calibration)),  # noqa: S704
-        },
+        residuals=_residuals(calibration),
         readings=dict(zip(("unit", "rows"), tables.readings(calibration), strict=True)),
+        free=tables.free(calibration),
+        outliers=tables.outliers(calibration),
     )
+
+
+def _residuals(calibration: Calibration) -> dict[str, Markup] | None:
+    """Return the figures of the residuals, None where no oriented reading was fitted."""
+    if not len(calibration.fitted):
+        return None
+    return {
+        "by_angle": Markup(plots.residuals_by_angle(calibration)),  # noqa: S704 - our own drawing
+        "in_order": Markup(plots.residuals_in_order(calibration)),  # noqa: S704
+    }
 
 
 def write_report(content: ReportContent, path: Path) -> None:

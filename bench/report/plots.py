@@ -84,16 +84,16 @@ def residuals_by_angle(calibration: Calibration) -> str:
                 axes: Axes = grid[i, column]
                 axes.fill_between(fine, -band[:, i], band[:, i], color="#B9C4CE", alpha=0.45, linewidth=0)
                 axes.axhline(0.0, color=GREY, linewidth=0.7)
-                _points(axes, calibration, rows, i, _dodged_deg(calibration), scale)
+                residual_points(axes, calibration, rows, i, dodged_deg(calibration), scale)
                 axes.set_xticks(range(0, 361, 45))
                 axes.set_xlim(-12.0, 372.0)
                 if column == 0:
                     axes.set_ylabel(f"channel {channel} / {scale.unit}")
             grid[2, column].set_xlabel("head angle / °")
-        figure.legend(*_legend(grid.flat), loc="outside upper center", ncols=6)
+        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
 
     alt = f"Residuals of channels x, y, z against head angle, {len(mounts)} installations, with the ±2σ band"
-    return _svg("residuals-angle", (max(1.2 + 3.1 * len(mounts), 4.6), 6.0), draw, alt)
+    return svg_figure("residuals-angle", (max(1.2 + 3.1 * len(mounts), 4.6), 6.0), draw, alt)
 
 
 def residuals_in_order(calibration: Calibration) -> str:
@@ -115,13 +115,13 @@ def residuals_in_order(calibration: Calibration) -> str:
             axes: Axes = grid[i]
             axes.axhline(0.0, color=GREY, linewidth=0.7)
             for _, rows in mounts_of(calibration):
-                _points(axes, calibration, rows, i, along, scale)
+                residual_points(axes, calibration, rows, i, along, scale)
             axes.set_ylabel(f"channel {channel} / {scale.unit}")
-        _mark_changes(grid, calibration, along)
+        mark_changes(grid, calibration, along)
         grid[2].set_xlabel(label)
-        figure.legend(*_legend(grid), loc="outside upper center", ncols=6)
+        figure.legend(*legend_of(grid), loc="outside upper center", ncols=6)
 
-    return _svg("residuals-order", (7.4, 5.2), draw, f"Residuals of channels x, y, z against {label}")
+    return svg_figure("residuals-order", (7.4, 5.2), draw, f"Residuals of channels x, y, z against {label}")
 
 
 def verification_points(verification: Verification) -> str:
@@ -165,7 +165,7 @@ def verification_points(verification: Verification) -> str:
         figure.legend(loc="outside upper center", ncols=2)
 
     alt = f"Δg at {len(points)} verification points with k = 2 bars, limit ±{limit:g} {scale.unit}"
-    return _svg("verification", (6.4, 3.2), draw, alt)
+    return svg_figure("verification", (6.4, 3.2), draw, alt)
 
 
 def correlations(calibration: Calibration) -> str:
@@ -195,7 +195,7 @@ def correlations(calibration: Calibration) -> str:
         bar.solids.set_rasterized(False)  # type: ignore[union-attr]
         bar.set_label("correlation coefficient")
 
-    return _svg("correlations", (6.2, 4.3), draw, "Correlations between the twelve coefficients")
+    return svg_figure("correlations", (6.2, 4.3), draw, "Correlations between the twelve coefficients")
 
 
 def compared_coefficients(calibration: Calibration, compared: Calibration) -> str:
@@ -221,7 +221,7 @@ def compared_coefficients(calibration: Calibration, compared: Calibration) -> st
         figure.legend(loc="outside upper center", ncols=2)
 
     alt = f"Twelve coefficients by {compared.estimator} as differences from {calibration.estimator}"
-    return _svg("compared", (7.4, 3.2), draw, alt)
+    return svg_figure("compared", (7.4, 3.2), draw, alt)
 
 
 # --- what the figures show --------------------------------------------------------------------------
@@ -269,7 +269,8 @@ def symbol(name: str) -> str:
 # --- how they are drawn -----------------------------------------------------------------------------
 
 
-def _dodged_deg(calibration: Calibration) -> Floats:
+def dodged_deg(calibration: Calibration) -> Floats:
+    """Head angles (n,) in degrees, the passes set apart sideways by `DODGE_DEG` in all."""
     number = calibration.fitted.pass_number
     middle = (number.min() + number.max()) / 2.0
     spread = max(float(np.ptp(number)), 1.0) / 2.0
@@ -277,10 +278,19 @@ def _dodged_deg(calibration: Calibration) -> Floats:
     return shifted
 
 
-def _points(
-    axes: Axes, calibration: Calibration, rows: Mask, channel: int, along: Floats, scale: Scale
+def residual_points(
+    axes: Axes,
+    calibration: Calibration,
+    rows: Mask,
+    channel: int,
+    along: Floats,
+    scale: Scale,
+    name: str = "readings",
 ) -> None:
-    """Draw the residuals of one channel in one mounting; pass in colour and fill, direction in shape."""
+    """Draw the residuals of one channel in one mounting; pass in colour and fill, direction in shape.
+
+    `name` sets the identifiers of the marks apart from those of other calibrations in the same figure.
+    """
     fitted = calibration.fitted
     for number in np.unique(fitted.pass_number[rows]):
         for direction, marker in MARKERS.items():
@@ -292,10 +302,11 @@ def _points(
                     fillstyle=PASS_FILLS[(number - 1) % len(PASS_FILLS)],
                     label=f"pass {number} {APPROACH[direction]}".strip(),
                 )  # fmt: skip
-                line.set_gid(f"readings-{CHANNELS[channel]}-{np.flatnonzero(chosen)[0]}")
+                line.set_gid(f"{name}-{CHANNELS[channel]}-{np.flatnonzero(chosen)[0]}")
 
 
-def _legend(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
+def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
+    """Handles and labels of all axes, each label once."""
     entries = {
         label: handle
         for axes in grid
@@ -304,8 +315,8 @@ def _legend(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
     return list(entries.values()), list(entries)
 
 
-def _mark_changes(grid: Any, calibration: Calibration, along: Floats) -> None:
-    """Draw a line where the block was mounted anew, and name the mounting above."""
+def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
+    """Draw a line where the block was mounted anew, and name the mounting above, after `word`."""
     conditions = calibration.fitted.conditions()
     starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
     for start in starts:
@@ -314,7 +325,7 @@ def _mark_changes(grid: Any, calibration: Calibration, along: Floats) -> None:
             if start:
                 axes.axvline(edge, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
         grid[0].annotate(
-            f" installation {conditions.mounts[conditions.mount[start]]}", (edge, 1.0),
+            f" {word}{conditions.mounts[conditions.mount[start]]}", (edge, 1.0),
             xycoords=("data", "axes fraction"), xytext=(0, 3), textcoords="offset points", parse_math=False,
         )  # fmt: skip
 
@@ -326,7 +337,7 @@ def _verification_labels(verification: Verification) -> list[str]:
     ]
 
 
-def _svg(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> str:
+def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> str:
     """Draw a figure and return it as an SVG element for a page; `alt` says in words what it shows."""
     # matplotlib takes longer to import than anything else that a command does
     from matplotlib import style

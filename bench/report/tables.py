@@ -61,7 +61,8 @@ def symbol(name: str) -> Markup:
 
 def matrix(calibration: Calibration) -> list[list[str]]:
     """Return K and, as a fourth column, U0 in concise notation."""
-    both = [concise(float(v), float(u)) for v, u in zip(calibration.block.vector, calibration.u, strict=True)]
+    pairs = zip(calibration.block.vector, calibration.u, strict=True)
+    both = ["0" if v == u == 0.0 else concise(float(v), float(u)) for v, u in pairs]
     return [[*both[3 * i : 3 * i + 3], both[9 + i]] for i in range(3)]
 
 
@@ -70,7 +71,10 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)
     base = scale_for(1.0, calibration.unit)
-    values = aligned([rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)])
+    # a coefficient without a value and an uncertainty is zero by convention: free positions alone
+    values = aligned(
+        ["0" if v == s == 0.0 else rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)]
+    )
     standard = aligned([two_digits(float(s) / scale.size) for s in u])
     expanded = aligned([two_digits(2.0 * float(s) / scale.size) for s in u])
     groups: list[tuple[str, list[Row]]] = []
@@ -106,6 +110,8 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
     if j == own:
         return two_digits(abs(float(u[j] / vector[j])) * 1e6), "ppm"
     ratio, u_ratio = _ratio(calibration, j, own)
+    if vector[j] == u[j] == 0.0:
+        return "by convention", ""
     if j < 9:
         return concise(ratio / ARCSEC, u_ratio / ARCSEC), "″"
     scale = scale_for(ratio, "g")
@@ -248,11 +254,57 @@ def _point_in_words(passed: bool, near: bool) -> str:
     return f"{verdict}, limit within U" if near else verdict
 
 
+def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
+    """Return the unit and a row for each reading that joined by its modulus: installation, pass, point, |a| - 1.
+
+    None where no reading did.
+    """
+    of = calibration.free
+    if of is None:
+        return None
+    scale = scale_for(float(np.max(np.abs(calibration.modulus_error))), "g")
+    decimals = max(places(calibration.modulus_rms_g / scale.size), 0)
+    return scale.unit, [
+        Row(
+            str(j + 1),
+            (
+                str(of.installation[j]),
+                str(of.pass_number[j]),
+                str(of.point[j]),
+                fixed(float(error) / scale.size, decimals, sign=True),
+            ),
+        )
+        for j, error in enumerate(calibration.modulus_error)
+    ]
+
+
+def outliers(calibration: Calibration) -> list[Row]:
+    """Return the outliers: row of the table, place, channel, size, in standard uncertainties, weight."""
+    return [
+        Row(
+            str(o.row),
+            (
+                o.installation if o.series == 1 else f"{o.installation}/{o.series}",
+                str(o.pass_number),
+                str(o.point),
+                o.channel,
+                fixed(o.size, places(abs(o.size)), sign=True),
+                o.unit,
+                fixed(o.sigma, 1),
+                f"{o.weight:g}",
+            ),
+        )
+        for o in calibration.outliers
+    ]
+
+
 def readings(calibration: Calibration) -> tuple[str, list[Row]]:
     """Return the unit of the residuals and a row for each fitted reading, in the order of measurement.
 
     Cells: mounting, pass, point, angle, direction, time, temperature, three signals, three residuals.
     """
+    if not len(calibration.fitted):
+        return "", []
     fitted = calibration.fitted
     conditions = fitted.conditions()
     scale = residual_scale(calibration)

@@ -15,28 +15,41 @@ from bench.model.block import Block
 from bench.model.conditions import Conditions
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 CHANNELS = ("x", "y", "z")
 
 
 class Stage(StrEnum):
     """Where in the chain an effect acts, in the order of the chain.
 
-    The signal that `Effect.addition` sees and adds to: the head's angle in rad (n,); the specific force
-    on block axes in g (n, 3), of which an effect at BLOCK_OUTPUT makes volts (n, 3); the voltage at the
-    meter's terminals in V (n, 3).
+    The signal that `Effect.addition` sees and adds to: the stand angles of each row in rad (n, 5), columns
+    as `STAND_ANGLES`; the head's angle in rad (n,); the specific force on block axes in g (n, 3), of which
+    an effect at BLOCK_OUTPUT makes volts (n, 3); the voltage at the meter's terminals in V (n, 3).
     """
 
+    STAND = "stand"
     HEAD_ANGLE = "head angle"
     SPECIFIC_FORCE = "specific force"
     BLOCK_OUTPUT = "block output"
     VOLTMETER_READING = "voltmeter reading"
 
 
+class Subsystem(StrEnum):
+    """What an effect belongs to. Of two explanations in the same one, the plainer is preferred."""
+
+    BLOCK = "block"
+    STAND = "stand"
+    VOLTMETER = "voltmeter"
+    SITE = "site"
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One number of an effect: the unit it is written in, its SI size, a plausible 1-sigma size in SI.
 
-    `per_channel` parameters have a value for each of x, y, z (zero where a channel has none of it).
+    `per_channel` parameters have a value for each of x, y, z (zero where a channel has none of it). One with
+    a `grid` (SI) is a shape (a time constant, a width, a harmonic): the readings are not linear in it, so a
+    fit holds it fixed and the naming tries the grid. It is `default` where nobody states it; a size is zero.
     """
 
     name: str
@@ -44,19 +57,33 @@ class Parameter:
     si_per_unit: float
     plausible: float
     per_channel: bool
+    grid: tuple[float, ...] = ()
+    default: float = 0.0
+
+    @property
+    def is_shape(self) -> bool:
+        """Whether it says what form the effect has, not how large it is."""
+        return bool(self.grid)
 
 
 class Effect(ABC):
     """An effect of the forward model. Stateless: its parameters' values are passed in.
 
-    `sentence` says what it is, `shown_by` what measurement would show it.
+    `sentence` says what it is, `shown_by` what measurement would show it. A `per_mount` effect may be of
+    one mounting alone; one that `lasts` stays from that mounting on. `needs_history` is true where a reading
+    depends on the rows before it, `needs_path` where it depends on how the head came there.
     """
 
     name: ClassVar[str]
     stage: ClassVar[Stage]
+    subsystem: ClassVar[Subsystem]
     parameters: ClassVar[tuple[Parameter, ...]]
     sentence: ClassVar[str]
     shown_by: ClassVar[str]
+    per_mount: ClassVar[bool] = False
+    lasts: ClassVar[bool] = False
+    needs_history: ClassVar[bool] = False
+    needs_path: ClassVar[bool] = False
 
     @abstractmethod
     def addition(
@@ -73,20 +100,45 @@ class Effect(ABC):
 class AppliedEffect:
     """An effect with values, as a bench or a model file states it.
 
-    `values` are SI: shape (3,) for a per-channel parameter, () else; a parameter left out is zero.
-    `u` are their standard uncertainties where they are known.
+    `values` are SI: shape (3,) for a per-channel parameter, () else; a size left out is zero, a shape its
+    default. `u` are their standard uncertainties where they are known. `installations` are the mountings
+    that have the effect, as `str(Mount)`: "2", in series 3 "2/3"; none named is all of them.
     """
 
     effect: Effect
     values: Mapping[str, Floats]
     channels: tuple[str, ...] = CHANNELS
     u: Mapping[str, Floats] = field(default_factory=dict)
+    installations: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
-        """Return the values of all parameters, zeros filled in."""
+        """Return the values of all parameters, zeros and default shapes filled in."""
         return {
             p.name: np.asarray(
-                self.values.get(p.name, np.zeros(3 if p.per_channel else ())), dtype=np.float64
+                self.values.get(p.name, np.full(3 if p.per_channel else (), p.default)), dtype=np.float64
             )
             for p in self.effect.parameters
         }
+
+    def shapes_text(self) -> str:
+        """Return its shapes as written in files, such as "tau 20 min"; empty for an effect without."""
+        values = self.complete_values()
+        shapes = [p for p in self.effect.parameters if p.is_shape]
+        units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in shapes}
+        return ", ".join(f"{p.name} {float(values[p.name]) / p.si_per_unit:g}{units[p.name]}" for p in shapes)
+
+    def rows(self, conditions: Conditions) -> Bools:
+        """Return where the effect acts, shape (n,)."""
+        if not self.installations:
+            return np.ones(len(conditions), dtype=bool)
+        has = np.array([str(mount) in self.installations for mount in conditions.mounts], dtype=bool)
+        rows: Bools = has[conditions.mount]
+        return np.logical_or.accumulate(rows) if self.effect.lasts else rows
+
+    def addition(self, signal: Floats, conditions: Conditions, block: Block) -> Floats:
+        """Return what the effect adds with its values, zero outside its mountings (see `Effect.addition`)."""
+        added = self.effect.addition(self.complete_values(), signal, conditions, block)
+        if not self.installations:
+            return added
+        rows = self.rows(conditions)
+        return np.where(rows.reshape(-1, *(1,) * (added.ndim - 1)), added, 0.0)

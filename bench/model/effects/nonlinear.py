@@ -1,0 +1,137 @@
+"""Nonlinearities of an accelerometer: its output in terms of the specific force on its own and other axes.
+
+The forms are those of the model equation in IEEE Std 1293-2018; i is a channel's own axis, j and k the
+next two in the order x, y, z, x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.model.block import Block
+from bench.model.conditions import Conditions
+from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
+
+Floats = NDArray[np.float64]
+
+
+def _size(name: str, unit: str, plausible: float) -> Parameter:
+    """A coefficient of each channel, in ug per some power of g."""
+    return Parameter(name, unit, 1e-6, plausible, per_channel=True)
+
+
+def _others(force: Floats) -> tuple[Floats, Floats]:
+    """Return a_j and a_k of each channel, (n, 3) each."""
+    return np.roll(force, -1, axis=1), np.roll(force, -2, axis=1)
+
+
+class QuadraticNonlinearity(Effect):
+    """K2 a_i^2: the output grows with the square of the input along the own axis."""
+
+    name = "quadratic_nonlinearity"
+    stage = Stage.BLOCK_OUTPUT
+    subsystem = Subsystem.BLOCK
+    parameters = (_size("K2", "ug/g^2", 30e-6),)
+    sentence = "the output of the accelerometer has a part that grows with the square of the acceleration"
+    shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
+
+    def addition(
+        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats:
+        """Return K_ii K2_i a_i^2 in volts, shape (n, 3)."""
+        return np.diag(block.K) * values["K2"] * signal**2
+
+
+class CubicNonlinearity(Effect):
+    """K3 a_i^3."""
+
+    name = "cubic_nonlinearity"
+    stage = Stage.BLOCK_OUTPUT
+    subsystem = Subsystem.BLOCK
+    parameters = (_size("K3", "ug/g^3", 20e-6),)
+    sentence = (
+        "the output of the accelerometer has a part that grows with the third power of the acceleration"
+    )
+    shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
+
+    def addition(
+        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats:
+        """Return K_ii K3_i a_i^3 in volts, shape (n, 3)."""
+        return np.diag(block.K) * values["K3"] * signal**3
+
+
+class OddQuadraticNonlinearity(Effect):
+    """Koq a_i |a_i|."""
+
+    name = "odd_quadratic_nonlinearity"
+    stage = Stage.BLOCK_OUTPUT
+    subsystem = Subsystem.BLOCK
+    parameters = (_size("Koq", "ug/g^2", 20e-6),)
+    sentence = "the output of the accelerometer has a part like the square of the acceleration with its sign"
+    shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
+
+    def addition(
+        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats:
+        """Return K_ii Koq_i a_i |a_i| in volts, shape (n, 3)."""
+        return np.diag(block.K) * values["Koq"] * signal * np.abs(signal)
+
+
+class ScaleAsymmetry(Effect):
+    """Kabs |a_i|: another scale factor for positive than for negative input."""
+
+    name = "scale_asymmetry"
+    stage = Stage.BLOCK_OUTPUT
+    subsystem = Subsystem.BLOCK
+    parameters = (_size("Kabs", "ug/g", 30e-6),)
+    sentence = "the scale factor of the accelerometer is not the same for positive and negative acceleration"
+    shown_by = "12 or more angles in a turn"
+
+    def addition(
+        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats:
+        """Return K_ii Kabs_i |a_i| in volts, shape (n, 3)."""
+        return np.diag(block.K) * values["Kabs"] * np.abs(signal)
+
+
+class CrossCoupling(Effect):
+    """Kip a_i a_j + Kio a_i a_k + Kpo a_j a_k."""
+
+    name = "cross_coupling"
+    stage = Stage.BLOCK_OUTPUT
+    subsystem = Subsystem.BLOCK
+    parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kip", "Kio", "Kpo"))
+    sentence = "the output of the accelerometer has a part with the product of the accelerations on two axes"
+    shown_by = "installations in which all three axes of the block feel gravity; a remount turned by 90 deg"
+
+    def addition(
+        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats:
+        """Return K_ii (Kip_i a_i a_j + Kio_i a_i a_k + Kpo_i a_j a_k) in volts, shape (n, 3)."""
+        a_j, a_k = _others(signal)
+        products = values["Kip"] * signal * a_j + values["Kio"] * signal * a_k + values["Kpo"] * a_j * a_k
+        return np.diag(block.K) * products
+
+
+class CrossQuadratic(Effect):
+    """Kpp a_j^2 + Koo a_k^2."""
+
+    name = "cross_quadratic"
+    stage = Stage.BLOCK_OUTPUT
+    subsystem = Subsystem.BLOCK
+    parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kpp", "Koo"))
+    sentence = (
+        "the output of the accelerometer has a part with the square of the acceleration across its axis"
+    )
+    shown_by = "a third installation; at 1 g it is the same as a square along the own axis and a bias"
+
+    def addition(
+        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats:
+        """Return K_ii (Kpp_i a_j^2 + Koo_i a_k^2) in volts, shape (n, 3)."""
+        a_j, a_k = _others(signal)
+        return np.diag(block.K) * (values["Kpp"] * a_j**2 + values["Koo"] * a_k**2)

@@ -1,0 +1,63 @@
+"""The one place where the trial touches what it tries."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from bench.bench_file import BenchFile, load_bench
+from bench.calibration.design import FIXED
+from bench.discrepancy import Threshold, ThresholdCache, diagnose
+from bench.discrepancy.evidence import Whitened
+from bench.discrepancy.linear import Linear
+from bench.discrepancy.posterior import posterior
+from bench.model import ForwardModel
+from bench.shipped import find_bench
+from benchmarks.blind_trial.cases import Case
+
+STATED_BENCH = "paper-stand"
+"""The bench file that the diagnosis is given; its noise is not that of the cases."""
+
+
+class _ByDesign(ThresholdCache):
+    """One threshold for all cases of a design and noise: their weather differs, which hardly matters to it."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.known: dict[tuple[str, float], Threshold] = {}
+        self.key = ("", 0.0)
+
+    def threshold(self, linear: Linear, whitened: Whitened, setting_rad: float) -> Threshold:
+        """Return the threshold of the present key, made from the first case that has it."""
+        if self.key not in self.known:
+            self.known[self.key] = super().threshold(linear, whitened, setting_rad)
+        return self.known[self.key]
+
+
+@cache
+def _bench() -> tuple[BenchFile, ForwardModel, dict[str, float], _ByDesign]:
+    bench = load_bench(find_bench(STATED_BENCH))
+    stand_u = {name: d.u for name, d in bench.stand_distributions().items()}
+    return bench, ForwardModel(bench.installation_models()), stand_u, _ByDesign()
+
+
+def diagnose_case(case: Case) -> dict[str, Any]:
+    """Return what `bench diagnose --json` promises, for the readings of a case, and the coefficients.
+
+    These are estimated without and with what was found, with the covariance of each.
+    """
+    bench, model, stand_u, thresholds = _bench()
+    thresholds.key = (case.design, case.reading_noise_v)
+    nominal = bench.unit_under_test.scale_factors.values
+    found = diagnose(case.readings, model, stand_u, nominal, thresholds)
+    nothing = found.candidates.columns[:, :0]
+    without = posterior(found.linear, nothing, found.noise)
+    return found.to_json() | {
+        "coefficients": {
+            name: {
+                "value": (found.linear.block.vector + fitted.mean[:FIXED]).tolist(),
+                "covariance": fitted.covariance[:FIXED, :FIXED].tolist(),
+            }
+            for name, fitted in (("before", without), ("after", found.fitted))
+        }
+    }

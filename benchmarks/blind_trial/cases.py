@@ -1,0 +1,274 @@
+"""Cases of the trial from a seed: readings on one side, answers sealed on the other."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from bench.readings import Readings, make_readings
+from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C, Run, Weather, make_run
+from benchmarks.blind_trial.effects import CATALOGUE, CLASS_OF, HIDDEN, OUTSIDE, SEEN_IN_VERIFICATION, STAND
+from benchmarks.blind_trial.geometry import Floats
+from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
+from benchmarks.blind_trial.signals import (
+    SETTING_SIGMA,
+    STAND_SIGMA,
+    Visibility,
+    scaled_to,
+    signals,
+    signature,
+    visibility,
+)
+from benchmarks.blind_trial.truth import CHANNELS, Draw, Truth
+
+READING_NOISE_V: Final = 15e-6
+MOST_TIMES_PLAUSIBLE: Final = 15.0
+"""An effect that needs to be larger than so many times its plausible size is not asked for."""
+HIDDEN_TIMES_PLAUSIBLE: Final = 10.0
+DECIMALS: Final = 7
+TRIES: Final = 5
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the score table: what is hidden, in which design, how visible, at which noise, how often.
+
+    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll or mistake:NAME. `noise_v` is what
+    the bench states, `noise_factor` how many times that the truth is (readings and settings alike).
+    """
+
+    kind: str
+    design: str = "paper"
+    rho: float | None = None
+    noise_v: float = READING_NOISE_V
+    noise_factor: float = 1.0
+    count: int = 100
+
+    @property
+    def key(self) -> str:
+        """What the row is called in tables and in seeds."""
+        visible = "" if self.rho is None else f" rho {self.rho:g}"
+        factor = "" if self.noise_factor == 1 else f" x{self.noise_factor:g}"
+        return f"{self.kind} {self.design}{visible} {self.noise_v * 1e6:g} uV{factor}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """What the diagnosis is given: a table of readings, and the noise that the bench file states (1 σ).
+
+    `reading_noise_v` in V, `setting_noise` in rad. The name says nothing of what is hidden.
+    """
+
+    id: str
+    design: str
+    readings: Readings
+    reading_noise_v: float
+    setting_noise: float
+
+
+@dataclass(frozen=True)
+class HiddenEffect:
+    """An effect as it was hidden; `rho` from the fitted rows alone, and with the verification rows.
+
+    `change` (n, 3) in V is its signature in all rows on a stand without errors.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    mounts: tuple[str, ...]
+    shape: str
+    amplitude: float
+    parameters: dict[str, float]
+    rho: float
+    rho_with_verification: float
+    change: Floats = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was hidden in a case. `accepted` are the names of a mistake that are right."""
+
+    id: str
+    row: Row
+    index: int
+    seed: int
+    effects: tuple[HiddenEffect, ...] = ()
+    place: str = ""
+    accepted: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        return self.row.kind
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the effects or of the mistake."""
+        return tuple(effect.name for effect in self.effects) or self.accepted[:1]
+
+    def as_json(self) -> str:
+        """Canonical text, the same for the same answer."""
+        effects = [
+            {k: v for k, v in vars(effect).items() if k != "change"}
+            | {"rho": round(effect.rho, 6), "rho_with_verification": round(effect.rho_with_verification, 6)}
+            for effect in self.effects
+        ]
+        content = {**vars(self), "row": self.row.key, "effects": effects}
+        return json.dumps(content, sort_keys=True)
+
+
+def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
+    """Make case `index` of a row, the same for the same seed, row and index."""
+    digest = hashlib.sha256(f"{seed}/{row.key}/{index}".encode()).digest()
+    rng = np.random.default_rng(list(digest))
+    phase, turn = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1])
+    run = make_run(row.design).with_weather(
+        Weather(float(phase), turn * 0.25 / 7200, float(rng.normal(0, 0.1)))
+    )
+    truths = _truths(rng, row, run, index)
+    mistake = (
+        MISTAKES[row.kind.removeprefix("mistake:")](rng, run) if row.kind.startswith("mistake:") else None
+    )
+    readings = _measure(rng, row, run, truths, mistake)
+    case = Case(digest.hex()[:12], row.design, readings, row.noise_v, SETTING_SIGMA)
+    answer = Answer(case.id, row, index, seed, tuple(_hidden(t, run, row) for t in truths))
+    if mistake is not None:
+        answer = replace(answer, place=mistake.place, accepted=mistake.names)
+    return case, answer
+
+
+def seal(case: Case, answer: Answer) -> dict[str, str]:
+    """Return the line of the ledger: name and SHA-256 of the readings and of the answer."""
+    table = case.readings
+    columns = (table.angle_rad, table.time_s, table.temperature_c, table.signal)
+    content = hashlib.sha256("\n".join(table.installation).encode())
+    for column in columns:
+        content.update(np.ascontiguousarray(column).tobytes())
+    sealed = hashlib.sha256(answer.as_json().encode()).hexdigest()
+    return {"id": case.id, "readings_sha256": content.hexdigest(), "answer_sha256": sealed}
+
+
+def _true_visibility(row: Row, *, verification: bool = False) -> Visibility:
+    """The visibility at the noise that the run really has."""
+    factor = row.noise_factor
+    return visibility(row.design, row.noise_v * factor, SETTING_SIGMA * factor, verification=verification)
+
+
+def _hidden(truth: Truth, run: Run, row: Row) -> HiddenEffect:
+    change = signature(run, truth)
+    return HiddenEffect(
+        truth.name,
+        truth.channels,
+        truth.mounts,
+        truth.shape,
+        float(truth.amplitude),
+        {k: float(v) for k, v in truth.parameters.items()},
+        _true_visibility(row).rho(change),
+        _true_visibility(row, verification=True).rho(change),
+        change,
+    )
+
+
+def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Truth]:
+    if row.kind == "hidden":
+        # a wobble's cosine is hidden only where no verification point shows what it does to Kyz and Kzy
+        verified = bool(np.any(run.labels == "V"))
+        names = [name for name in HIDDEN if not (verified and name == "axis_wobble")]
+        name = names[index % len(names)]
+        return [HIDDEN[name](rng, run).scaled(HIDDEN_TIMES_PLAUSIBLE)]
+    if row.rho is None:
+        return []
+    seen = _true_visibility(row, verification=row.kind == SEEN_IN_VERIFICATION)
+    match row.kind:
+        case "single":
+            return [_next(rng, row, run, seen, list(CATALOGUE), index)]
+        case "pair":
+            first = _next(rng, row, run, seen, list(CATALOGUE), index)
+            others = [name for name in CATALOGUE if CLASS_OF[name] != CLASS_OF[first.name]]
+            return [first, _next(rng, row, run, seen, others, int(rng.integers(len(others))))]
+        case "outside":
+            return [_scaled(rng, row, run, seen, OUTSIDE[list(OUTSIDE)[index % len(OUTSIDE)]])]
+        case "equal_k2":
+            return [_scaled(rng, row, run, seen, _equal_k2)]
+        case "mounting_roll":
+            return [_scaled(rng, row, run, seen, STAND[SEEN_IN_VERIFICATION])]
+        case _:
+            raise ValueError(f"No such kind of case: {row.kind}.")
+
+
+def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:
+    """The same K2 in all three channels, as a type of accelerometer has it."""
+    sign = rng.choice([-1.0, 1.0])
+    return Truth(
+        "quadratic_nonlinearity",
+        "block",
+        lambda _, force, x: sign * 30e-6 * x * force**2,
+        channels=CHANNELS,
+        shape="equal",
+    )
+
+
+def _next(
+    rng: np.random.Generator, row: Row, run: Run, seen: Visibility, names: list[str], start: int
+) -> Truth:
+    """Draw the effect whose turn it is, or the next one that this design can show at a plausible size."""
+    for k in range(len(names)):
+        draw = CATALOGUE[names[(start + k) % len(names)]]
+        truth = _attempt(rng, row, run, seen, draw, MOST_TIMES_PLAUSIBLE)
+        if truth is not None:
+            return truth
+    raise ValueError(f"No effect reaches rho {row.rho} in the design {row.design}.")
+
+
+def _scaled(rng: np.random.Generator, row: Row, run: Run, seen: Visibility, draw: Draw) -> Truth:
+    truth = _attempt(rng, row, run, seen, draw, np.inf)
+    if truth is None:
+        raise ValueError(f"{draw(rng, run).name} cannot be seen in the design {row.design}.")
+    return truth
+
+
+def _attempt(
+    rng: np.random.Generator, row: Row, run: Run, seen: Visibility, draw: Draw, most: float
+) -> Truth | None:
+    for _ in range(TRIES):
+        truth = scaled_to(draw(rng, run), run, float(row.rho or 0), seen, most)
+        if truth is not None:
+            return truth
+    return None
+
+
+def _measure(
+    rng: np.random.Generator, row: Row, run: Run, truths: list[Truth], mistake: Mistake | None
+) -> Readings:
+    """Carry the run out on a stand whose errors are within the paper's limits, and write the table."""
+    n = len(run.mount)
+    stand = rng.normal(size=(int(run.mount.max()) + 1, 3)) * STAND_SIGMA
+    setting = rng.normal(0, SETTING_SIGMA * row.noise_factor, n)
+    noise = rng.normal(0, row.noise_v * row.noise_factor, (n, 3))
+    signal = signals(run, truths, stand, setting, None if mistake is None else mistake.true_angle) + noise
+    labels = run.labels
+    if mistake is not None:
+        signal = mistake.edit(signal)
+        labels = labels if mistake.labels is None else mistake.labels
+    table = make_readings(
+        labels.tolist(),
+        run.pass_number.tolist(),
+        run.point.tolist(),
+        run.angle,
+        np.round(signal, DECIMALS),
+        source="blind trial",
+        target_rad=run.angle,
+        series=run.series.tolist(),
+        direction=run.direction.tolist(),
+        time_s=run.time_s,
+        temperature_c=np.round(REFERENCE_TEMPERATURE_C + run.temperature(), 3),
+    )
+    extra = {"scan_order": run.scan}
+    if not run.measured.all():
+        extra["reference_v"] = np.array(
+            [f"{v:g}" if lab == "R" else "" for lab, v in zip(run.labels, run.input_v, strict=True)]
+        )
+    return replace(table, extra=extra)

@@ -1,0 +1,221 @@
+"""The runs of the trial: which reading is taken where, when, in which direction, at what temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.blind_trial.geometry import AXES, Floats
+
+POINT_S: Final = 120.0
+INPUT_CHECK_S: Final = 60.0
+REMOUNT_S: Final = 2400.0
+CYCLE_S: Final = 37 * 60.0
+CYCLE_K: Final = 0.15
+REFERENCE_TEMPERATURE_C: Final = 23.0
+REFERENCE_V: Final = 2.0
+EIGHTHS: Final = tuple(range(0, 361, 45))
+TWELFTHS: Final = tuple(range(0, 361, 30))
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Temperature at the block less the reference: a cycle of ±0.15 K in 37 min and a slow drift.
+
+    `phase` in rad, `drift` in K/s, `start` in K.
+    """
+
+    phase: float = 0.0
+    drift: float = 0.25 / 7200
+    start: float = 0.0
+
+    def at(self, time_s: Floats, lag_s: float = 0.0) -> Floats:
+        """Temperature deviation in K (n,), as a body sees it that follows with the lag `lag_s`.
+
+        Four fifths of the lag are one first-order delay, one fifth a second one behind it. The weather is
+        older than the run, so nothing of its beginning is left.
+        """
+        cycle: NDArray[np.complex128] = CYCLE_K * np.exp(1j * (2 * np.pi * time_s / CYCLE_S + self.phase))
+        for part in (0.8 * lag_s, 0.2 * lag_s):
+            cycle = cycle / (1 + 2j * np.pi * part / CYCLE_S)
+        return self.start + cycle.imag + self.drift * (time_s - lag_s)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One pass over the angles (deg, in rising order) in one direction, and the scan order of the channels."""
+
+    label: str
+    number: int
+    angles: tuple[int, ...] = EIGHTHS
+    direction: int = 1
+    scan: str = "xyz"
+    series: int = 1
+
+
+@dataclass(frozen=True)
+class Design:
+    """The mountings of a run in their order, each with its sweeps; whether each sweep begins with S and R."""
+
+    mountings: tuple[tuple[Sweep, ...], ...]
+    input_checks: bool = False
+
+
+def _verification(number: int = 1) -> tuple[Sweep, ...]:
+    return (Sweep("V", number, (45, 135, 225, 315)),)
+
+
+def _rising(label: str, angles: tuple[int, ...] = EIGHTHS) -> tuple[Sweep, ...]:
+    return tuple(Sweep(label, number, angles) for number in (1, 2, 3))
+
+
+def _both_ways(label: str) -> tuple[Sweep, ...]:
+    return tuple(Sweep(label, number, direction=d) for number, d in ((1, 1), (2, -1), (3, 1)))
+
+
+def _scan_reversed(label: str) -> tuple[Sweep, ...]:
+    return (Sweep(label, 1), Sweep(label, 2, direction=-1, scan="zyx"))
+
+
+DESIGNS: Final[dict[str, Design]] = {
+    "paper": Design((_rising("1"), _rising("2"), _verification())),
+    "both": Design((_both_ways("1"), _both_ways("2"), _verification())),
+    "turn-12": Design((_rising("1", TWELFTHS), _rising("2", TWELFTHS), _verification())),
+    "return": Design((_rising("1"), _rising("2"), (Sweep("1", 1, series=2),), _verification())),
+    "remount-180": Design(
+        (
+            _rising("1")[:2],
+            (Sweep("1T180", 1),),
+            _rising("2")[:2],
+            (Sweep("2T180", 1),),
+            _verification(),
+        )
+    ),
+    "reordered": Design(
+        (
+            _scan_reversed("1"),
+            (Sweep("1T180", 1),),
+            _scan_reversed("2"),
+            (Sweep("2T180", 1),),
+            _verification(),
+        ),
+        input_checks=True,
+    ),
+    "unverified": Design((_rising("1"), _rising("2"))),
+}
+"""`reordered`: both directions, scan order reversed once, S and R each pass, a third pass turned by 180°."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Columns over the n readings of a design, in the order of measurement; angles in rad, times in s.
+
+    `mount` (n,) counts the mountings from 0; `input_v` (n,) is what lies at the voltmeter's input in S and R
+    rows, NaN where the block is measured. `weather` is what the temperature does.
+    """
+
+    design: str
+    labels: NDArray[np.str_]
+    series: NDArray[np.int64]
+    pass_number: NDArray[np.int64]
+    point: NDArray[np.int64]
+    mount: NDArray[np.int64]
+    angle: Floats
+    direction: NDArray[np.int64]
+    time_s: Floats
+    scan: NDArray[np.str_]
+    input_v: Floats
+    weather: Weather
+
+    @property
+    def fitted(self) -> NDArray[np.bool_]:
+        """The rows that a calibration fits."""
+        return np.asarray(self.measured & (self.labels != "V"))
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """The rows in which the block is measured: fitted and verification rows."""
+        return np.asarray(np.isnan(self.input_v))
+
+    @property
+    def calibration_mounts(self) -> NDArray[np.int64]:
+        """The mountings that a calibration fits."""
+        return np.unique(self.mount[self.fitted])
+
+    @property
+    def head_angle(self) -> Floats:
+        """The head angle (n,), with 0 where none was noted."""
+        return np.nan_to_num(self.angle)
+
+    def temperature(self, lag_s: float = 0.0) -> Floats:
+        """Temperature less the reference in K (n,), seen with a lag."""
+        return self.weather.at(self.time_s, lag_s)
+
+    def with_weather(self, weather: Weather) -> Run:
+        return replace(self, weather=weather)
+
+
+@lru_cache
+def make_run(name: str) -> Run:
+    """Lay a design of `DESIGNS` out in time."""
+    design = DESIGNS[name]
+    rows: list[tuple[object, ...]] = []
+    clock, checks = 0.0, 0
+    for mount, sweeps in enumerate(design.mountings):
+        clock += REMOUNT_S if mount else 0.0
+        for sweep in sweeps:
+            if design.input_checks and sweep.label != "V":
+                checks += 1
+                for label, volts in (("S", 0.0), ("R", REFERENCE_V)):
+                    clock += INPUT_CHECK_S
+                    rows.append((label, 1, checks, 1, mount, np.nan, 0, clock, sweep.scan, volts))
+            stops = list(enumerate(sweep.angles, start=1))
+            for point, degrees in stops[:: sweep.direction]:
+                clock += POINT_S
+                place = (sweep.label, sweep.series, sweep.number, point, mount, np.radians(degrees))
+                rows.append((*place, sweep.direction, clock, sweep.scan, np.nan))
+    names = ("labels", "series", "pass_number", "point", "mount", "angle", "direction", "time_s", "scan")
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    return Run(name, **dict(zip((*names, "input_v"), columns, strict=True)), weather=Weather())
+
+
+@lru_cache
+def head_path(name: str) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
+    """The specific force along the way of the head, in steps of at most 3°, free of errors.
+
+    Returns the force (m, 3), for each row of the run the index of the step at which it is read, and the
+    indices at which a mounting begins. The head comes to a stop in the direction noted: it goes on over a
+    full turn where it must, and goes 20° past a stop and back where the direction changes.
+    """
+    run = make_run(name)
+    angles: list[float] = []
+    labels: list[str] = []
+    stops = np.zeros(len(run.angle), dtype=np.int64)
+    begins: list[int] = []
+    here, heading, mount = 0.0, 0, -1
+    past = np.radians(20)
+    for row, (target, direction) in enumerate(zip(run.angle, run.direction, strict=True)):
+        if np.isnan(target):
+            continue
+        if run.mount[row] != mount:
+            mount, heading = int(run.mount[row]), 0
+            begins.append(len(angles))
+            here = target - direction * past
+        ahead = float(((target - here) * direction + 1e-6) % (2 * np.pi) - 1e-6)
+        turns_back = heading not in (0, direction) and ahead < past
+        legs = [-direction * past, direction * (past + ahead)] if turns_back else [direction * ahead]
+        for leg in legs:
+            steps = max(1, int(np.ceil(abs(leg) / np.radians(3))))
+            angles += (here + leg * np.arange(1, steps + 1) / steps).tolist()
+            labels += [str(run.labels[row])] * steps
+            here += leg
+        heading = direction
+        stops[row] = len(angles) - 1
+    way, of = np.array(angles), np.array(labels)
+    level = np.stack([np.sin(way), np.zeros(len(way)), np.cos(way)], axis=1)
+    force = np.einsum("nij,nj->ni", np.stack([AXES[label] for label in of]), level)
+    return force, stops, np.array(begins)

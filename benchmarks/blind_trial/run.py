@@ -1,0 +1,167 @@
+"""The blind trial's command line.
+
+    python -m benchmarks.blind_trial --short
+    python -m benchmarks.blind_trial --seed 7 --workers 2 --json score.json --ledger ledger.jsonl
+
+Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed; only then are
+the answers opened, checked against their seals, and the score printed as markdown, each share with the
+counts and its Wilson 95 % interval. Exit status 1 when a diagnosis failed with an error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from benchmarks.blind_trial.adapter import diagnose_case
+from benchmarks.blind_trial.cases import Row, make_case, seal
+from benchmarks.blind_trial.mistakes import MISTAKES
+from benchmarks.blind_trial.score import (
+    Diagnose,
+    Marks,
+    Outcome,
+    Share,
+    Task,
+    judge,
+    markdown,
+    mean_gap,
+    run_trial,
+    tally,
+)
+from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
+
+QUIETER_RHO: Final = (5, 6, 8, 10, 15, 20)
+
+FULL: Final[tuple[Row, ...]] = (
+    Row("null", count=800),
+    Row("null", noise_v=30e-6, count=300),
+    Row("null", noise_v=100e-6, count=300),
+    Row("null", noise_factor=0.7, count=300),
+    Row("null", noise_factor=1.3, count=300),
+    Row("null", "both", count=300),
+    Row("null", "turn-12", count=300),
+    *(Row("single", rho=rho, count=150) for rho in QUIETER_RHO),
+    *(Row("single", design, rho) for design in ("both", "turn-12") for rho in QUIETER_RHO),
+    *(Row("single", design, 10) for design in ("return", "remount-180", "reordered")),
+    Row("single", rho=8, noise_v=30e-6),
+    Row("single", rho=8, noise_v=100e-6),
+    Row("single", rho=8, noise_factor=0.7),
+    Row("single", rho=8, noise_factor=1.3),
+    *(Row("pair", rho=rho, count=150) for rho in (10, 15)),
+    *(Row("outside", rho=rho, count=200) for rho in (12, 20)),
+    Row("hidden"),
+    Row("hidden", "unverified"),
+    Row("equal_k2", rho=12),
+    *(Row("mounting_roll", rho=rho) for rho in (10, 20)),
+    *(Row(f"mistake:{name}") for name in MISTAKES),
+)
+SHORT: Final[tuple[Row, ...]] = (
+    Row("null", count=60),
+    Row("null", noise_factor=1.3, count=30),
+    *(Row("single", rho=rho, count=27) for rho in (5, 10, 20)),
+    Row("single", "both", 10, count=27),
+    Row("single", "turn-12", 10, count=27),
+    Row("pair", rho=10, count=20),
+    Row("outside", rho=20, count=20),
+    Row("hidden", count=10),
+    Row("equal_k2", rho=12, count=5),
+    Row("mounting_roll", rho=10, count=5),
+    *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
+)
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.blind_trial", description="The blind trial of bench diagnose."
+    )
+    parser.add_argument("--short", action="store_true", help="a few minutes instead of the whole trial")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--rows", type=int, metavar="N", help="so many cases in each row")
+    parser.add_argument("--only", metavar="KIND", help="null, single, pair, outside, hidden, mistake, ...")
+    parser.add_argument("--ties", choices=["signature", "table"], default="signature")
+    parser.add_argument("--json", metavar="FILE", help="score and outcomes; - for standard output")
+    parser.add_argument("--ledger", type=Path, metavar="FILE", help="append the seals of the cases here")
+    return parser.parse_args(argv)
+
+
+def _rows(given: argparse.Namespace) -> list[Row]:
+    rows = [row for row in (SHORT if given.short else FULL) if given.only in (None, row.kind.split(":")[0])]
+    if not rows:
+        raise SystemExit(f"There is no kind of case called {given.only}.")
+    return [replace(row, count=given.rows) for row in rows] if given.rows else rows
+
+
+def _open_answers(outcomes: Sequence[Outcome], ties: str) -> list[tuple[Row, Marks]]:
+    """Judge what was diagnosed. Raises `RuntimeError` where an answer is not the one that was sealed."""
+    can_tell = can_tell_by_signature if ties == "signature" else can_tell_by_table
+    marks: list[tuple[Row, Marks]] = []
+    for outcome in outcomes:
+        task = outcome.task
+        case, answer = make_case(task.seed, task.row, task.index)
+        if seal(case, answer) != outcome.seal:
+            raise RuntimeError(f"Case {case.id} is not the one that was sealed.")
+        if outcome.diagnosis is None:
+            marks.append((task.row, {"failed": True}))
+        else:
+            marks.append((task.row, judge(case, answer, outcome.diagnosis, can_tell, nearest_rival)))
+    return marks
+
+
+def _as_json(outcomes: Sequence[Outcome], shares: dict[str, dict[str, Share]], seed: int) -> str:
+    score = {
+        key: {
+            name: {"successes": share.successes, "of": share.of, "interval": share.interval}
+            for name, share in columns.items()
+        }
+        for key, columns in shares.items()
+    }
+    cases = []
+    for outcome in outcomes:
+        _, answer = make_case(outcome.task.seed, outcome.task.row, outcome.task.index)
+        cases.append(
+            {
+                **outcome.seal,
+                "answer": json.loads(answer.as_json()),
+                "diagnosis": outcome.diagnosis,
+                "error": outcome.error or None,
+            }
+        )
+    return json.dumps({"seed": seed, "score": score, "cases": cases}, indent=1)
+
+
+def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) -> int:
+    """Run the trial; return the exit status."""
+    given = _arguments(argv)
+    rows = _rows(given)
+    tasks = [Task(given.seed, row, index) for row in rows for index in range(row.count)]
+    start = time.perf_counter()
+    outcomes: list[Outcome] = []
+    for outcome in run_trial(tasks, diagnose, given.workers):
+        outcomes.append(outcome)
+        if len(outcomes) % 200 == 0:
+            print(f"{len(outcomes)}/{len(tasks)}", file=sys.stderr, flush=True)
+    if given.ledger:
+        with given.ledger.open("a", encoding="utf-8") as ledger:
+            ledger.writelines(json.dumps(outcome.seal) + "\n" for outcome in outcomes)
+    shares = tally(rows, _open_answers(outcomes, given.ties))
+    report = sys.stderr if given.json == "-" else sys.stdout
+    print(markdown(rows, shares), file=report)
+    print(f"\n{mean_gap(rows, outcomes)}", file=report)
+    print(f"\n{len(tasks)} cases, seed {given.seed}, {time.perf_counter() - start:.0f} s", file=report)
+    if given.json:
+        text = _as_json(outcomes, shares, given.seed)
+        if given.json == "-":
+            print(text)
+        else:
+            Path(given.json).write_text(text, encoding="utf-8")
+    failures = sorted({outcome.error for outcome in outcomes if outcome.error})
+    for failure in failures[:5]:
+        print(failure, file=sys.stderr)
+    return 1 if failures else 0

@@ -1,0 +1,248 @@
+"""The score: what a diagnosis said against what was hidden, with Wilson intervals."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.stats import binomtest, chi2
+
+from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
+from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
+from benchmarks.blind_trial.signals import U0, K
+from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
+
+Diagnosis = dict[str, Any]
+Diagnose = Callable[[Case], Diagnosis]
+Marks = dict[str, bool]
+
+VERDICTS: Final = frozenset({"agrees", "mistake", "named", "confounded", "unknown"})
+FOREIGN_BUT_ALIKE: Final = 0.8
+
+
+@dataclass(frozen=True)
+class Task:
+    """One case to be made and diagnosed."""
+
+    seed: int
+    row: Row
+    index: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came back for a task: the diagnosis or the error text, and the seal of what was diagnosed."""
+
+    task: Task
+    seal: dict[str, str]
+    diagnosis: Diagnosis | None
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Share:
+    """So many of so many, with the Wilson 95 % interval."""
+
+    successes: int
+    of: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper end; 0 and 1 where there was nothing to count."""
+        if not self.of:
+            return 0.0, 1.0
+        ci = binomtest(self.successes, self.of).proportion_ci(confidence_level=0.95, method="wilson")
+        return float(ci.low), float(ci.high)
+
+    def __str__(self) -> str:
+        if not self.of:
+            return "–"
+        low, high = self.interval
+        return f"{self.successes / self.of:.3f} ({self.successes}/{self.of}; {low:.3f}–{high:.3f})"
+
+
+def run_trial(tasks: Sequence[Task], diagnose: Diagnose, workers: int = 2) -> Iterator[Outcome]:
+    """Make and diagnose each case, in order, in so many processes.
+
+    `diagnose` is a function of a module. A worker lives through the whole trial, so what it computes once for
+    a design it keeps. An exception of the diagnosis is an outcome with its text.
+    """
+    if workers == 1:
+        yield from (_examine(task, diagnose) for task in tasks)
+        return
+    # fresh interpreters: a fork would copy the threads of a linear algebra library
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        yield from pool.map(_examine, tasks, [diagnose] * len(tasks), chunksize=4)
+
+
+def _examine(task: Task, diagnose: Diagnose) -> Outcome:
+    case, answer = make_case(task.seed, task.row, task.index)
+    sealed = seal(case, answer)
+    try:
+        diagnosis = diagnose(case)
+        if diagnosis.get("verdict") not in VERDICTS:
+            return Outcome(task, sealed, None, f"No such verdict: {diagnosis.get('verdict')!r}.")
+    except Exception as error:
+        return Outcome(task, sealed, None, f"{type(error).__name__}: {error}")
+    return Outcome(task, sealed, diagnosis)
+
+
+def sets_given(diagnosis: Diagnosis) -> list[set[str]]:
+    """Return for each effect found the names under which it may stand."""
+    return [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis.get("effects", ())]
+
+
+def judge(
+    case: Case,
+    answer: Answer,
+    diagnosis: Diagnosis,
+    can_tell: CanTell = can_tell_by_table,
+    likeness: Callable[[Answer], float] | None = None,
+) -> Marks:
+    """Return what can be said of a diagnosis, right or wrong, by the name of the column.
+
+    Only what applies is there: a name alone is judged where one was given. `likeness` gives the largest
+    cosine of an effect outside the catalogue to a member of it; those above 0.8 are counted apart.
+    """
+    verdict = diagnosis["verdict"]
+    kind = answer.kind.split(":")[0]
+    if kind == "null":
+        return {"agrees": verdict == "agrees"}
+    if kind == "hidden":
+        return _judge_hidden(answer, diagnosis)
+    if kind == "mistake":
+        return _judge_mistake(answer, diagnosis)
+    if kind == "outside":
+        alike = likeness is not None and likeness(answer) >= FOREIGN_BUT_ALIKE
+        apart = " (like a member)" if alike else ""
+        return {
+            f"detected{apart}": verdict != "agrees",
+            f"flagged unknown{apart}": verdict == "unknown",
+            f"given a single name{apart}": verdict == "named",
+        }
+    if kind == "pair":
+        return _judge_pair(answer, diagnosis)
+    return _judge_single(case, answer, diagnosis, can_tell)
+
+
+def _judge_hidden(answer: Answer, diagnosis: Diagnosis) -> Marks:
+    marks = {"agrees": diagnosis["verdict"] == "agrees"}
+    if answer.names[0] != "common_turn":
+        marks["hidden listed"] = any(answer.names[0] in str(entry) for entry in diagnosis.get("hidden", ()))
+    return marks
+
+
+def _judge_mistake(answer: Answer, diagnosis: Diagnosis) -> Marks:
+    found = diagnosis["verdict"] == "mistake"
+    sets = sets_given(diagnosis)
+    first = diagnosis["effects"][0]["name"] if sets else None
+    return {
+        "mistake found": found,
+        "first name right": found and first in answer.accepted,
+        "in the set": found and any(not names.isdisjoint(answer.accepted) for names in sets),
+    }
+
+
+def _judge_pair(answer: Answer, diagnosis: Diagnosis) -> Marks:
+    sets = sets_given(diagnosis)
+    truth = set(answer.names)
+    return {
+        "detected": diagnosis["verdict"] != "agrees",
+        "both in the sets": truth <= set().union(*sets),
+        "a set without either": any(names.isdisjoint(truth) for names in sets),
+        "refused": diagnosis["verdict"] == "unknown",
+    }
+
+
+def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: CanTell) -> Marks:
+    verdict, sets = diagnosis["verdict"], sets_given(diagnosis)
+    truth = answer.names[0]
+    marks = {"detected": verdict != "agrees", "mistake alleged": verdict == "mistake"}
+    if verdict in {"named", "confounded"}:
+        marks["in the set"] = any(truth in names for names in sets)
+        # at the verification points a wobble once a turn does the same as a mounting roll
+        if answer.kind != SEEN_IN_VERIFICATION and can_tell(case, answer):
+            marks["first name right"] = bool(sets) and diagnosis["effects"][0]["name"] == truth
+    marks |= _judge_gap(answer, diagnosis)
+    marks["alone given"] = verdict == "named"
+    if verdict == "named":
+        marks["alone right"] = sets == [{truth}]
+    return marks
+
+
+def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
+    """Say whether the gap is closed on readings held out, and whether the coefficients are right again.
+
+    Right are coefficients whose twelve errors together have a chi-square that chance exceeds in 1 %; counted
+    where the true effect was named, and alone. An effect of temperature moves what a bias means: left out.
+    """
+    marks: Marks = {}
+    p_after = diagnosis.get("gap", {}).get("p_after")
+    if diagnosis["verdict"] in {"named", "confounded"} and p_after is not None:
+        marks["gap closed"] = p_after > SIGNIFICANT
+    alone = [effect["name"] for effect in diagnosis["effects"]] == list(answer.names)
+    told = "coefficients" in diagnosis and not answer.names[0].startswith("thermal")
+    if diagnosis["verdict"] == "named" and alone and told:
+        for when in ("before", "after"):
+            marks[f"coefficients right {when}"] = _coefficients_right(diagnosis["coefficients"][when])
+    return marks
+
+
+SIGNIFICANT: Final = 0.01
+
+
+def _coefficients_right(estimate: dict[str, Any]) -> bool:
+    error = np.array(estimate["value"]) - np.concatenate([K.ravel(), U0])
+    chi_square = float(error @ np.linalg.solve(np.array(estimate["covariance"]), error))
+    return bool(chi2.sf(chi_square, len(error)) > SIGNIFICANT)
+
+
+def mean_gap(rows: Sequence[Row], outcomes: Sequence[Outcome]) -> str:
+    """Return as markdown the mean reduced chi-square of the readings held out, before and after naming."""
+    lines = ["| held out, named | cases | before | after |", "|---|---|---|---|"]
+    for row in rows:
+        gaps = [
+            outcome.diagnosis["gap"]
+            for outcome in outcomes
+            if outcome.task.row == row
+            and outcome.diagnosis
+            and outcome.diagnosis["verdict"] in {"named", "confounded"}
+            and outcome.diagnosis["gap"]["p_after"] is not None
+        ]
+        if row.kind == "single" and gaps:
+            before, after = (np.mean([gap[when] for gap in gaps]) for when in ("before", "after"))
+            lines.append(f"| {row.key} | {len(gaps)} | {before:.3f} | {after:.3f} |")
+    return "\n".join(lines)
+
+
+def tally(rows: Sequence[Row], marks: Sequence[tuple[Row, Marks]]) -> dict[str, dict[str, Share]]:
+    """Count the marks: row key to column to share, in the order of the rows."""
+    counts: dict[str, dict[str, list[int]]] = {row.key: {} for row in rows}
+    for row, given in marks:
+        for column, right in given.items():
+            count = counts[row.key].setdefault(column, [0, 0])
+            count[0] += right
+            count[1] += 1
+    return {
+        key: {column: Share(*count) for column, count in columns.items()} for key, columns in counts.items()
+    }
+
+
+def markdown(rows: Sequence[Row], shares: dict[str, dict[str, Share]]) -> str:
+    """Return the score as markdown: a table for each kind, a line for each row."""
+    kinds = list(dict.fromkeys(row.kind.split(":")[0] for row in rows))
+    tables = []
+    for kind in kinds:
+        of_kind = [row for row in rows if row.kind.split(":")[0] == kind]
+        columns = list(dict.fromkeys(column for row in of_kind for column in shares[row.key]))
+        lines = [f"| {kind} | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+        for row in of_kind:
+            cells = [str(shares[row.key].get(column, Share(0, 0))) for column in columns]
+            lines.append(f"| {row.key} | " + " | ".join(cells) + " |")
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)

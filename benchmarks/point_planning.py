@@ -1,0 +1,98 @@
+"""What the paper's 54 settings are worth beside chosen ones, and how few chosen ones give the same.
+
+On the shipped bench of the paper (stand errors with k = 3), and with its limits taken as one standard deviation:
+
+    python benchmarks/point_planning.py
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.bench_file import load_bench
+from bench.budget import Setup, make_budget, stand_source
+from bench.calibration.result import CalibrationError
+from bench.model import Distribution, ForwardModel, Mount
+from bench.planning.goals import Goal, coefficient_goals, vector_goal
+from bench.planning.points import Points, Sites, Stand, best_within, cheapest
+from bench.planning.procedure_text import Times
+from bench.planning.settings import Setting, conditions_of, fitted, settings_of
+from bench.procedure import load_procedure
+from bench.shipped import find_bench, find_procedure
+
+Floats = NDArray[np.float64]
+
+ANGLES = 24
+COUNTED = Times().cost(50.0, verified=False)
+
+
+def paper_settings() -> list[Setting]:
+    return fitted(settings_of(load_procedure(find_procedure("paper")).expand()))
+
+
+def by_estimator(stand: Stand, estimator: str, settings: Sequence[Setting]) -> Floats:
+    """Covariance (12, 12) of the coefficients with the noise known."""
+    setup = Setup(stand.model, conditions_of(settings), stand.block)
+    sources = [stand_source(name, Distribution(u)) for name, u in stand.sizes.items() if u > 0]
+    return make_budget(setup, sources, estimator).combined.covariance
+
+
+def goals_of(stand: Stand, covariance: Floats) -> dict[str, list[Goal]]:
+    """The same as a covariance gives, for the whole vector and for each of the coefficients."""
+    whole = vector_goal(stand.block)
+    each = coefficient_goals({"all": 1.0})
+    return {
+        "error vector at 1 g": [vector_goal(stand.block, 1.0, whole.u(covariance))],
+        "each coefficient": [Goal(g.name, g.functionals, g.u(covariance), g.unit) for g in each],
+    }
+
+
+def told(found: Points) -> str:
+    mounts = ", ".join(str(mount) for mount in found.visits)
+    return (
+        f"{found.count:4d} settings in {mounts}: {found.worst.ratio(found.covariance):.3f} of what was asked"
+    )
+
+
+def compare(name: str, stand: Stand, sites: Sites) -> None:
+    settings = paper_settings()
+    own = stand.covariance(settings)
+    closed = by_estimator(stand, "closed-form", settings)
+    vector = vector_goal(stand.block)
+    print(f"\n{name}")
+    print(f"  rms error vector at 1 g of the paper's 54 settings: closed form {vector.u(closed) * 1e6:.1f} µg, "
+          f"least squares {vector.u(by_estimator(stand, 'least-squares', settings)) * 1e6:.1f} µg, "
+          f"gls {vector.u(own) * 1e6:.1f} µg")  # fmt: skip
+    for what, goals in goals_of(stand, own).items():
+        best = best_within(stand, sites, goals, COUNTED, COUNTED.total_s(len(settings), 2), 2)
+        ratio = best.worst.ratio(best.covariance)
+        print(f"  {what}: the best {best.count} settings give {ratio:.3f} of the paper's by gls")
+    for reference, covariance in (("gls", own), ("the closed form", closed)):
+        for what, goals in goals_of(stand, covariance).items():
+            begun = time.process_time()
+            try:
+                text = told(cheapest(stand, sites, goals, COUNTED, 120, 2))
+            except CalibrationError as error:
+                text = str(error)
+            spent = time.process_time() - begun
+            print(f"  as the paper's 54 by {reference}, {what}: {text} ({spent:.1f} s)")
+
+
+def main() -> None:
+    bench = load_bench(find_bench("paper-stand"))
+    model = ForwardModel(bench.installation_models())
+    angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
+    mounts = [Mount(1, "1"), Mount(1, "2")]
+    sizes = {name: d.u for name, d in bench.stand_distributions().items()}
+    limits = {name: d.limit for name, d in bench.stand_distributions().items()}
+    for name, chosen in (("stand errors with k = 3", sizes), ("limits as one sigma", limits)):
+        stand = Stand(model, bench.simulated_block(), chosen)
+        compare(name, stand, Sites(stand, mounts, angles))
+
+
+if __name__ == "__main__":
+    main()
