@@ -49,8 +49,10 @@ def together(parts: Sequence[Part]) -> Readings:
         last_series = int(tables[-1].series.max())
         first_series = int(tables[-1].series.min())
         series = f"series {first_series}" + (f" to {last_series}" if last_series > first_series else "")
-        how = "after the first" if real else "after the first (set, not measured)"
-        notes.append(f"{table.source} is {series}, begun {start_s / 3600.0:.2f} h {how}")
+        begun = f", begun {start_s / 3600.0:.2f} h after the first" if len(tables) > 1 else ""
+        notes.append(
+            f"{table.source} is {series}{begun}{'' if real or not begun else ' (set, not measured)'}"
+        )
     return _joined(tables, tuple(notes))
 
 

@@ -16,6 +16,7 @@ from bench.discrepancy.threshold import (
     null_responses,
     total_evidence,
 )
+from bench.model import CATALOGUE, AppliedEffect
 
 NULLS = 1200
 """Fewer than the application takes: the thresholds of a test need not be as sharp."""
@@ -153,3 +154,26 @@ def test_the_record_is_left_as_it_is():
     before = readings.signal.copy()
     examine(readings)
     np.testing.assert_array_equal(readings.signal, before)
+
+
+def test_signals_that_are_not_volts_have_no_effects_in_microvolts():
+    """The same run in units of 10 mV as "counts": the block's effect is named alike, the meters' are hidden."""
+    readings = paper_run(np.random.default_rng(21), K2=(0.0, 80e-6, 0.0))
+    counts = replace(readings, unit="counts", signal=100.0 * readings.signal)
+    found = diagnose(counts, MODEL, STAND, 100.0 * np.array([-2.18, -2.14, -2.14]), Ready(None))
+    assert found.effects[0].name == "quadratic_nonlinearity"
+    assert "voltmeter_drift" in found.hidden
+    assert not any(v.family == "range_offset" for v in found.candidates.variants)
+
+
+def test_what_the_model_has_is_not_found_again_and_the_other_channels_are():
+    readings = paper_run(np.random.default_rng(33), K2=(100e-6, 80e-6, 0.0))
+    has_y = AppliedEffect(
+        CATALOGUE["quadratic_nonlinearity"], {"K2": np.array([0.0, 80e-6, 0.0])}, channels=("y",)
+    )
+    model = replace(MODEL, effects=(has_y,))
+    found = diagnose(readings, model, STAND, np.array([-2.18, -2.14, -2.14]), Ready(None))
+    (effect,) = found.effects
+    assert (effect.name, effect.channels) == ("quadratic_nonlinearity", ("x",))
+    both = replace(has_y, values={"K2": np.array([100e-6, 80e-6, 0.0])}, channels=("x", "y"))
+    assert diagnose(readings, replace(MODEL, effects=(both,)), STAND, None, Ready(None)).verdict == "agrees"

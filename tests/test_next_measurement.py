@@ -247,6 +247,15 @@ def test_a_tie_is_settled_by_the_shortest_procedure_that_settles_it(drifting):
     assert not proposal.left_out
 
 
+def test_a_tie_with_what_has_no_name_is_nothing_that_a_procedure_settles(drifting):
+    (effect,) = drifting.effects
+    others = (*effect.cannot_tell_from, "step")
+    proposal = propose(replace(drifting, effects=(replace(effect, cannot_tell_from=others),)), BENCH)
+    assert "step" not in {tie.other for tie in proposal.settles}
+    alone = replace(drifting, effects=(replace(effect, cannot_tell_from=("step",)),))
+    assert propose(alone, BENCH) is None
+
+
 def test_where_nothing_on_the_menu_helps_nothing_is_proposed(drifting):
     assert propose(drifting, BENCH, [find_procedure("paper"), find_procedure("turn-12")]) is None
     for verdict in ("mistake", "unknown"):

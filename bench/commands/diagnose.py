@@ -33,7 +33,7 @@ from bench.discrepancy import Diagnosis, ThresholdCache
 from bench.discrepancy import diagnose as examine
 from bench.discrepancy.alternatives import Rival, rivals
 from bench.discrepancy.next_measurement import propose
-from bench.discrepancy.show import Shown, label, show
+from bench.discrepancy.show import Shown, contradicted, label, show
 from bench.model.block import COEFFICIENTS
 from bench.model_file import ModelFile, load_model, write_model_file
 from bench.readings_together import Part, together
@@ -171,6 +171,8 @@ def examined(job: Job, options: Options) -> dict[str, Any]:
     corrected = diagnosis.mistakes.corrected
     shown = show(corrected, source.model, diagnosis.applied, source.stand_u, source.g_m_s2)
     ranked = rivals(diagnosis, source.stand_u["setting_error"])
+    stated = contradicted(source.model.effects, shown.before.effects)
+    diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *stated))
     model = _written_model(job, diagnosis, shown, accept_first=options.accept_first)
     result = {
         **_without_infinity(diagnosis.to_json()),
@@ -314,9 +316,8 @@ def _written_report(
     from bench.report.diagnosis import DiagnosisContent, render_diagnosis
 
     source = job.source
-    unit = source.bench.unit_under_test
     content = DiagnosisContent(
-        title=f"Diagnosis of {unit.type} {unit.serial}".strip(),
+        title=f"Diagnosis of {source.block_name or source.name}",
         result=result,
         diagnosis=diagnosis,
         shown=shown,

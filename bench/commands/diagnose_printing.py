@@ -12,9 +12,14 @@ from bench.model import CATALOGUE
 from bench.report.diagnosis_words import (
     LEAD,
     STILL_MISSING,
+    alike_in_words,
     effect_title,
     effects_of,
+    joined_in_words,
+    less_certain,
     mistakes_of,
+    p_in_column,
+    p_in_words,
     parameters_in_words,
     place_in_words,
     shift_in_words,
@@ -31,8 +36,7 @@ LISTED_SHIFT: Final = 0.5
 
 def one(result: Mapping[str, Any], out: Console) -> None:
     """Print one diagnosis in the order in which it was made."""
-    for note in (*result["notes"], *result["skipped_rows"]):
-        out.print(f"note: {note}")
+    _notes(result, "", out)
     _mistakes(result, out)
     _places(result, out)
     for number, effect in enumerate(effects_of(result)):
@@ -55,17 +59,26 @@ def several(results: Sequence[Mapping[str, Any]], out: Console) -> None:
         table.add_column(heading, justify=side)  # type: ignore[arg-type]
     for result in results:
         gap = result["gap"]
-        what = ", ".join(effect_title(effect) for effect in result["effects"]) or "nothing"
+        what = alike_in_words(result["effects"]) or "nothing"
         p = min((effect["p_all_looks"] for effect in result["effects"]), default=None)
         table.add_row(
-            str(result["source"]), str(result["verdict"]), what, "" if p is None else f"{p:.1g}",
+            str(result["source"]), str(result["verdict"]), what, "" if p is None else typeset(p_in_column(p)),
             _ratio(gap["before"]), _ratio(gap["after"]), str(result["model"] or ""),
         )  # fmt: skip
+    for result in results:
+        _notes(result, f"{result['source']}: ", out)
     out.print(table)
     out.print("gap: reduced chi-square of readings held out, 1 is noise alone")
     for result in results:
         if result["report"]:
             out.print(f"report: {result['report']}")
+
+
+def _notes(result: Mapping[str, Any], lead: str, out: Console) -> None:
+    for note in result["notes"]:
+        out.print(f"note: {lead}{note}")
+    for row in result["skipped_rows"]:
+        out.print(f"left out: {row}")
 
 
 def _ratio(value: float | None) -> str:
@@ -87,9 +100,6 @@ def _places(result: Mapping[str, Any], out: Console) -> None:
 def _mistakes(result: Mapping[str, Any], out: Console) -> None:
     for mistake in mistakes_of(result):
         out.print(f"Mistake: {mistake['name']}: {mistake['words']}", style="bold")
-        if mistake["cannot_tell_from"]:
-            alike = ", ".join(mistake["cannot_tell_from"])
-            out.print(f"  in these readings exactly like: {alike}")
         out.print("  what follows is from a copy with it put right; the record is as it was")
 
 
@@ -99,7 +109,7 @@ def _effect(result: Mapping[str, Any], number: int, effect: Mapping[str, Any], o
     for line in parameters_in_words(effect):
         out.print(f"  {line}")
     rho = "" if effect["rho"] is None else f", {effect['rho']:.1f} times the noise in all (rho)"
-    out.print(typeset(f"  p = {effect['p_all_looks']:.1g} with all looks counted{rho}"))
+    out.print(typeset(f"  {p_in_words(effect['p_all_looks'])} with all looks counted{rho}"))
     for other in effect["cannot_tell_from"]:
         told = [shift_in_words(result, number, other)]
         if other in CATALOGUE:
@@ -119,16 +129,19 @@ def _gap(result: Mapping[str, Any], out: Console) -> None:
         rms = [quantity(gap[f"{when}_rms"], gap["unit"]) for when in ("before", "after")]
         out.print(
             f"Gap on readings not used: reduced chi-square {gap['before']:.2f} before, {gap['after']:.2f} after "
-            f"(noise alone: 1; p = {gap['p_after']:.2g} after); residuals {rms[0]} before, {rms[1]} after"
+            f"(noise alone: 1; {p_in_words(gap['p_after'], 2)} after); residuals {rms[0]} before, {rms[1]} after"
         )
     blind = [fold["what"] for fold in gap["held_out"] if not fold["confirmable"]]
     if blind:
         out.print(f"  not counted, as without it the rest could not have shown it: {', '.join(blind)}")
     if simulated["after"] is not None and simulated["after"]["p"] is not None:
         p = [simulated[when]["p"] for when in ("after", "before")]
-        out.print(typeset(f"Simulated bench beside the readings: p = {p[0]:.2g} with it, {p[1]:.2g} without"))
+        told = [p_in_words(one, 2) for one in p]
+        out.print(typeset(f"Simulated bench beside the readings: {told[0]} with it, {told[1]} without"))
         if p[0] < FITS:
             out.print(f"  {STILL_MISSING}")
+    for line in joined_in_words(result):
+        out.print(f"  {typeset(line)}")
 
 
 def _consequence(result: Mapping[str, Any], out: Console) -> None:
@@ -140,7 +153,10 @@ def _consequence(result: Mapping[str, Any], out: Console) -> None:
     if result["simulation"]["after"] is None or not changed:
         return
     told = ", ".join(f"{name} by {shift:+.1f} u" for name, _, shift in changed)
-    out.print(typeset(f"Coefficients that change: {told}"))
+    out.print(typeset(f"Coefficients that change, in units of u before: {told}"))
+    wider = less_certain(result)
+    if wider:
+        out.print(f"  less certain with it: {', '.join(wider)}")
 
 
 def _limits_of_sight(result: Mapping[str, Any], out: Console) -> None:

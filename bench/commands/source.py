@@ -89,6 +89,8 @@ def load_sources(request: Request) -> list[Source]:
 
 def check_places(request: Request) -> None:
     """Refuse sources of which one would write over what another wrote. Raises `CommandError`."""
+    if request.out is not None and request.out.exists() and not request.out.is_dir():
+        raise CommandError(f"--out {request.out}: a file of that name is there; give a folder")
     places = [_output(name, _run_of(name, request.runs), request.out, "", "") for name in request.sources]
     for place in places:
         if places.count(place) > 1:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.discrepancy.linear import MODULUS, Linear
-from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
+from bench.model import CATALOGUE, CHANNELS, AppliedEffect, Effect, Parameter
 from bench.readings import VERIFICATION
 
 Floats = NDArray[np.float64]
@@ -120,8 +120,9 @@ def make_candidates(linear: Linear, unit_noise: float) -> Candidates:
     """
     collector = _Collector(linear)
     for effect in CATALOGUE.values():
-        if not any(applied.effect.name == effect.name for applied in linear.model.effects):
+        if linear.readings.unit == "V" or not in_volts(effect):
             _add_effect(collector, effect)
+    collector.variants = [v for v in collector.variants if not _in_model(v, linear.model.effects)]
     _add_unnamed(collector, unit_noise)
     return Candidates(
         np.stack(collector.columns, axis=1),
@@ -129,6 +130,23 @@ def make_candidates(linear: Linear, unit_noise: float) -> Candidates:
         np.array(collector.scale),
         tuple(collector.variants),
     )
+
+
+def in_volts(effect: Effect) -> bool:
+    """Whether it is so many microvolts large: signals in counts or g are not voltages, and it has no size there."""
+    return any("V" in parameter.unit for parameter in effect.parameters)
+
+
+def _in_model(variant: Variant, effects: Sequence[AppliedEffect]) -> bool:
+    """Return whether the model has this effect already, in one of these channels and mountings."""
+    for applied in effects:
+        if applied.effect.name == variant.family:
+            per_channel = any(p.per_channel for p in applied.effect.parameters)
+            channels = not per_channel or any(CHANNELS[c] in applied.channels for c in variant.channels)
+            everywhere = not variant.mounts or not applied.installations
+            if channels and (everywhere or set(variant.mounts) & set(applied.installations)):
+                return True
+    return False
 
 
 # --- effects of the catalogue -----------------------------------------------------------------------

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from bench.discrepancy.candidates import FREE_BY_ANGLE, FREE_BY_PASS, Candidates, Variant, make_candidates
+from bench.discrepancy.candidates import (
+    FREE_BY_ANGLE,
+    FREE_BY_PASS,
+    Candidates,
+    Variant,
+    in_volts,
+    make_candidates,
+)
 from bench.discrepancy.evidence import Data, Search, Whitened
 from bench.discrepancy.holdout import measure_gap, near_ratios
+from bench.discrepancy.known_together import known_together
 from bench.discrepancy.linear import make_linear
 from bench.discrepancy.mistakes import find_mistakes
 from bench.discrepancy.naming import Naming, name
@@ -24,6 +32,7 @@ from bench.discrepancy.threshold import Threshold, ThresholdCache
 from bench.discrepancy.visibility import detectable, hidden
 from bench.discrepancy.where import find_places
 from bench.model import CATALOGUE, CHANNELS, AppliedEffect, ForwardModel
+from bench.model.conditions import REMOUNT_S, SETTING_S
 from bench.readings import Readings
 
 Floats = NDArray[np.float64]
@@ -64,6 +73,8 @@ def diagnose(
     p_left = _p_left(whitened, data, naming)
     ratio = RATIOS.index(near_ratios(linear, noise)[1])
     sizes = detectable(whitened, limit, ratio)
+    unseen = hidden(whitened, limit, ratio, sizes)
+    own = {applied.effect.name for applied in model.effects}
     effects = _effects(candidates, naming, fitted, limit)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
@@ -72,7 +83,7 @@ def diagnose(
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
-        hidden=hidden(whitened, limit, ratio, sizes),
+        hidden={name: parts for name, parts in unseen.items() if name not in own},
         detectable=sizes,
         gap=measure_gap(linear, candidates, grid, naming, noise, limit, setting_rad),
         registered=registered,
@@ -82,8 +93,20 @@ def diagnose(
         fitted=fitted,
         noise=noise,
         p_left=p_left,
-        notes=tuple(readings.notes),
+        notes=(*readings.notes, *_assumed(mistakes.corrected)),
     )
+
+
+def _assumed(readings: Readings) -> Iterator[str]:
+    """Yield what the diagnosis takes for granted where the readings do not say it."""
+    if not np.isfinite(readings.time_s).any():
+        yield (
+            f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "
+            "are taken, and every rate and time constant rests on that"
+        )
+    if readings.unit != "V":
+        names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
+        yield f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"
 
 
 def _verdict(mistaken: bool, effects: tuple[NamedEffect, ...]) -> Verdict:
@@ -139,8 +162,9 @@ def _effects(
     start = 0
     for found in naming.found:
         count = len(found.variant.columns)
-        value, u = fitted.amplitudes[start : start + count], fitted.amplitude_u[start : start + count]
+        mine = slice(start, start + count)
         start += count
+        value, u = fitted.amplitudes[mine], fitted.amplitude_u[mine]
         p = float(special.chdtrc(count, found.size**2))
         shared = (channels_of(found), found.variant.mounts, found.ties, found.plainer_than)
         if found.variant.named:
@@ -149,6 +173,7 @@ def _effects(
                 NamedEffect(
                     found.variant.family, *shared, _told(applied), p, max(p, limit.p(found.total)), found.size,
                     CATALOGUE[found.variant.family].sentence, applied,
+                    known_together(candidates, found.variant, value, fitted.amplitude_covariance[mine, mine]),
                 )
             )  # fmt: skip
         else:

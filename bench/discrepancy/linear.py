@@ -148,7 +148,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     slope[: 3 * count] = problem.slope(block, others).ravel()
     setting = np.full(len(slope), -1)
     setting[: 3 * count] = np.repeat(np.arange(count), 3)
-    fixed, random = _columns(problem, block, _unit(force), view, label)
+    fixed, random = _columns(problem, block, _unit(force), view, label, _unstated(readings))
     rows = Rows(
         np.concatenate([np.repeat(settings, 3), moduli, np.repeat(inputs, 3)]),
         np.concatenate(
@@ -175,6 +175,13 @@ def _unit(vectors: Floats) -> Floats:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if len(vectors) else vectors
 
 
+def _unstated(readings: Readings) -> Ints:
+    """Return which readings are of a reference whose value nobody stated: it is as free as it is large."""
+    stated = readings.extra.get("reference_v", np.full(len(readings), ""))
+    blank = np.array([not str(text).strip() for text in stated], dtype=bool)
+    return np.flatnonzero((readings.installation == REFERENCE) & blank)
+
+
 def _input_v(inputs: Readings) -> Floats:
     stated = inputs.extra.get("reference_v")
     volts = np.zeros(len(inputs))
@@ -194,11 +201,11 @@ def _own_column(problem: Problem, block: Block, view: _View, number: int) -> Flo
 
 
 def _columns(
-    problem: Problem, block: Block, unit: Floats, view: _View, label: NDArray[np.str_]
+    problem: Problem, block: Block, unit: Floats, view: _View, label: NDArray[np.str_], unstated: Ints
 ) -> tuple[Floats, Floats]:
     """Return the columns of the coefficients and, times their priors, of stand angles and own effects.
 
-    A modulus does not depend on angles of the stand.
+    A modulus does not depend on angles of the stand. Readings `unstated` are of references of unknown value.
     """
     jacobian = problem.jacobian(block, problem.prior_mean)
     jacobian[:, :, FIXED:] *= problem.prior_u
@@ -213,5 +220,7 @@ def _columns(
     reference = label == REFERENCE
     if np.any(reference):
         wrong = np.where(reference[:, None], REFERENCE_U * np.nan_to_num(view.voltage_v), 0.0)
-        random = np.column_stack([random, view.rows_of(wrong)])
+        unknown = [np.where(np.arange(len(label))[:, None] == i, 1.0, 0.0) for i in unstated]
+        columns_of = [wrong, *(one * np.nan_to_num(view.voltage_v) for one in unknown)]
+        random = np.column_stack([random, *(view.rows_of(one) for one in columns_of)])
     return columns[:, :FIXED], random

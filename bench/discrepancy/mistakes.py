@@ -120,6 +120,7 @@ class _View:
     block: Block
     floor: float
     sheet: float
+    unit: str
 
     @property
     def situation(self) -> Situation:
@@ -143,7 +144,8 @@ class _Stage:
         table = Oriented.of(readings)
         problem = make_problem(self.model, readings.oriented().conditions(), self.stand_u)
         block, sheet = self.gross.first_guess(table)
-        return _View(table, problem, block, noise_floor(problem, table.signal, readings.resolution), sheet)
+        floor = noise_floor(problem, table.signal, readings.resolution)
+        return _View(table, problem, block, floor, sheet, readings.unit)
 
 
 def _told_gross(gross: GrossMistake) -> Mistake:
@@ -194,7 +196,9 @@ def _single_words(view: _View, single: SingleMistake) -> str:
             words += f" (an outlier of channel {single.channels[0]} would look the same)"
         return words
     off = ", ".join(
-        f"{c} by {v:+.3g}" for c, v in zip("xyz", single.shift, strict=True) if c in single.channels
+        f"{c} by {v:+.3g} {view.unit}"
+        for c, v in zip("xyz", single.shift, strict=True)
+        if c in single.channels
     )
     return (
         f"channel {off} off what the other readings let expect ({single.sigma:.0f} standard deviations); "

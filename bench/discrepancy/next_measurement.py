@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.bench_file import BenchFile
+from bench.discrepancy.candidates import in_volts
 from bench.discrepancy.linear import Linear, make_linear
 from bench.discrepancy.planned import following, reads_inputs
 from bench.discrepancy.result import Diagnosis
 from bench.discrepancy.separation import Design, form_of, forms_everywhere, forms_of
-from bench.model import STAND_ANGLES
+from bench.model import CATALOGUE, STAND_ANGLES
 from bench.plan import Plan
 from bench.plan_check import check
 from bench.procedure import Procedure, load_procedure
@@ -204,12 +205,14 @@ class _Bill:
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):
-            if not effect.cannot_tell_from:
+            # what has no name has no forms that a further run would show in a way of their own
+            others = [other for other in effect.cannot_tell_from if other in CATALOGUE]
+            if not others or not effect.in_catalogue:
                 continue
             design = Design(linear, diagnosis.noise, self._forms[:index] + self._forms[index + 1 :])
             if plan is not None:
-                design.remounted((effect.name, *effect.cannot_tell_from), self._mounts)
-            for other in effect.cannot_tell_from:
+                design.remounted((effect.name, *others), self._mounts)
+            for other in others:
                 rivals = forms_of(diagnosis.candidates, other)
                 result[effect.name, other] = design.divergence(effect.applied, rivals)
         return result
@@ -219,8 +222,11 @@ class _Bill:
     def showing(self) -> Proposal | None:
         """Return the shortest procedure that shows most of what the readings could hardly show."""
         diagnosis = self._diagnosis
+        sought = _looked_for(diagnosis.linear)
         blind = [
-            name for name, size in diagnosis.detectable.items() if name in diagnosis.hidden or size > BLIND
+            name
+            for name, size in diagnosis.detectable.items()
+            if name in sought and (name in diagnosis.hidden or size > BLIND)
         ]
         bills = []
         for path, plan in self.plans.items():
@@ -241,6 +247,16 @@ class _Bill:
     def _told_left_out(self) -> str:
         told = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
         return f". Not possible on this bench: {told}" if told else ""
+
+
+def _looked_for(linear: Linear) -> frozenset[str]:
+    """Return the effects that were looked for: those that the model lacks and that have a size in the unit."""
+    own = {applied.effect.name for applied in linear.model.effects}
+    return frozenset(
+        name
+        for name, effect in CATALOGUE.items()
+        if name not in own and (linear.readings.unit == "V" or not in_volts(effect))
+    )
 
 
 @lru_cache(maxsize=64)

@@ -43,6 +43,12 @@ class Posterior:
         return self.mean[len(self.mean) - self.effects :]
 
     @property
+    def amplitude_covariance(self) -> Floats:
+        """Their covariance."""
+        first = len(self.mean) - self.effects
+        return self.covariance[first:, first:]
+
+    @property
     def amplitude_u(self) -> Floats:
         """Their standard uncertainties."""
         root: Floats = np.sqrt(np.diag(self.covariance))[len(self.mean) - self.effects :]

@@ -36,6 +36,7 @@ class NamedEffect:
     """An effect that was found, with its parameters as estimated.
 
     `applied` is empty for what has no name, else one entry for each set of mountings with values of its own.
+    `together` are sums or differences of values that the readings tell where they hardly tell the values.
     `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size in
     units of noise.
     """
@@ -51,6 +52,7 @@ class NamedEffect:
     rho: float
     words: str
     applied: tuple[AppliedEffect, ...] = ()
+    together: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def in_catalogue(self) -> bool:
@@ -66,6 +68,7 @@ class NamedEffect:
             "cannot_tell_from": list(self.cannot_tell_from),
             "plainer_than": list(self.plainer_than),
             "parameters": dict(self.parameters),
+            "together": [dict(one) for one in self.together],
             "p": self.p,
             "p_all_looks": self.p_all_looks,
             "rho": self.rho,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from bench.calibration import Calibration, LackOfFit, calibrate, gls
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.noise import repeat_groups, whiten
-from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
+from bench.model import CHANNELS, STAND_ANGLES, AppliedEffect, Block, ForwardModel
 from bench.readings import FREE, VERIFICATION, Readings
 
 Floats = NDArray[np.float64]
@@ -23,6 +23,9 @@ SEED: Final = 1
 
 HARDLY_TOLD: Final = 0.5
 """An effect that is left with more than this part of its weak prior is not told by the settings."""
+
+CONTRADICTED: Final = 4.0
+"""A stated value that readings leave by so many u is not that of their block: chance 6e-5."""
 
 MOST_ROUNDS: Final = 30
 STANDS_STILL_G: Final = 1e-12
@@ -115,6 +118,31 @@ def label(applied: AppliedEffect) -> str:
     """Return an effect with its channels, where it has such: "quadratic_nonlinearity[y]"."""
     of_channels = any(parameter.per_channel for parameter in applied.effect.parameters)
     return applied.effect.name + (f"[{''.join(applied.channels)}]" if of_channels else "")
+
+
+def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
+    """Yield a sentence for each value of a model that readings contradict by `CONTRADICTED` u or more.
+
+    `stated` are the effects of the model with their u, `estimated` the same effects with these readings added.
+    What they tell apart from the statement is the more, by the difference of the two variances.
+    """
+    for one, now in zip(stated, estimated, strict=True):
+        for parameter in one.effect.parameters:
+            if parameter.name not in one.u:
+                continue
+            value, u, new, u_new = (
+                np.atleast_1d(source[parameter.name]) / parameter.si_per_unit
+                for source in (one.values, one.u, now.values, now.u)
+            )
+            for i in np.flatnonzero((u > 0.0) & (u_new < u)):
+                pull = abs(new[i] - value[i]) / np.sqrt(u[i] ** 2 - u_new[i] ** 2)
+                if pull >= CONTRADICTED:
+                    of = f" of {CHANNELS[i]}" if parameter.per_channel else ""
+                    yield (
+                        f"the model states {parameter.name}{of} of {one.effect.name} as {value[i]:.3g} with u "
+                        f"{u[i]:.2g} {parameter.unit}; these readings contradict it by {pull:.1f} u: diagnose them "
+                        "without this model"
+                    )
 
 
 def _simulate(

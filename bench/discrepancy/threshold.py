@@ -128,6 +128,7 @@ def _key(linear: Linear, whitened: Whitened, setting_rad: float) -> str:
     readings = linear.readings
     scale = np.abs(np.diag(linear.block.K)).mean()
     parts: list[object] = [
+        readings.unit,
         readings.installation.tolist(),
         readings.series.tolist(),
         readings.pass_number.tolist(),
@@ -138,7 +139,7 @@ def _key(linear: Linear, whitened: Whitened, setting_rad: float) -> str:
         np.round(readings.temperature_c, 2).tolist(),
         {name: cells.tolist() for name, cells in readings.extra.items() if name in DESIGN_COLUMNS},
         {k: np.round(v.block_from_platform, 6).tolist() for k, v in linear.model.installations.items()},
-        [(a.effect.name, sorted(a.values)) for a in linear.model.effects],
+        [(a.effect.name, a.channels, a.installations, sorted(a.values)) for a in linear.model.effects],
         np.round(linear.block.K / scale, 2).tolist(),
         np.round(linear.block.U0 / scale, 2).tolist(),
         round(float(np.log(scale)) * 50),

@@ -5,27 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from bench.report.budget_plots import contributions, modulus
-from bench.report.numbers import fixed, typeset
+from bench.report.numbers import fixed
 from bench.report.page import RULES
 from bench.report.tables import Row, symbol
+from bench.report.template import page_template
 
 
 def render_budget(result: Mapping[str, Any]) -> str:
     """Return the page; the same result gives the same text."""
-    environment = Environment(
-        loader=PackageLoader("bench.report", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = typeset
     check = result["verification"]
-    return environment.get_template("budget.html.j2").render(
+    return page_template("budget.html.j2").render(
         result=result,
         headings=["source", *(symbol(name) for name in result["order"])],
         coefficients=_coefficients(result),

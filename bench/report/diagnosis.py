@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from bench.discrepancy import Diagnosis
 from bench.discrepancy.alternatives import Rival
+from bench.discrepancy.result import UNNAMED_WORDS
 from bench.discrepancy.show import Shown
 from bench.model import CATALOGUE
 from bench.report import diagnosis_plots as plots
@@ -19,6 +19,7 @@ from bench.report.numbers import aligned, concise, fixed, quantity, rounded, sca
 from bench.report.page import FITS
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
+from bench.report.template import page_template
 
 DRAWN: Final = 4
 """Mountings of which the residuals are drawn in full view; those beyond are folded away."""
@@ -44,28 +45,22 @@ class DiagnosisContent:
 
 def render_diagnosis(content: DiagnosisContent) -> str:
     """Return the page; the same content gives the same text."""
-    environment = Environment(
-        loader=PackageLoader("bench.report", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = typeset
     result, shown = content.result, content.shown
-    return environment.get_template("diagnosis.html.j2").render(
+    return page_template("diagnosis.html.j2").render(
         content=content,
         result=result,
         state=STATES.get(result["verdict"], "failed"),
         lead=words.LEAD[result["verdict"]],
         verdict=words.verdict_in_words(result),
         places=[_place(place) for place in result["where"]],
-        mistakes=list(zip(words.mistakes_of(result), content.diagnosis.mistakes.mistakes, strict=True)),
+        mistakes=list(zip(_mistakes(result), content.diagnosis.mistakes.mistakes, strict=True)),
         effects=[_effect(content, i, effect) for i, effect in enumerate(words.effects_of(result))],
         gap=_gap(result),
         coefficients=_coefficients(result),
         changed=shown.after is not None,
         tests=_tests(result),
+        joined=list(words.joined_in_words(result)),
+        less_certain=words.less_certain(result) if shown.after else [],
         still=words.STILL_MISSING if _still_missing(result) else None,
         residuals=_residuals(shown),
         in_time=_drawn(plots.residuals_in_time(shown)),
@@ -73,7 +68,10 @@ def render_diagnosis(content: DiagnosisContent) -> str:
         following=result["next_measurement"],
         apart=_apart(result),
         hidden=[(name, CATALOGUE[name].sentence, CATALOGUE[name].shown_by) for name in result["hidden"]],
-        smallest=[Row(name, (size, CATALOGUE[name].sentence)) for name, size in words.smallest_found(result)],
+        smallest=[
+            Row(name, (size.replace(" ", "\N{NO-BREAK SPACE}"), CATALOGUE[name].sentence))
+            for name, size in words.smallest_found(result)
+        ],
         registered=result["registered"],
         noise=_noise(result),
     )
@@ -87,7 +85,14 @@ def _place(place: Mapping[str, Any]) -> Row:
     where = "verification points" if place["channel"] == "modulus" else str(place["channel"])
     installation = "whole run" if place["installation"] == "all" else str(place["installation"])
     size = quantity(place["size"], place["unit"])
-    return Row(where, (installation, str(place["pattern"]), size, typeset(f"{place['p']:.1g}")))
+    return Row(where, (installation, str(place["pattern"]), size, typeset(words.p_in_column(place["p"]))))
+
+
+def _mistakes(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the mistakes with p in words."""
+    return [
+        {**mistake, "p": typeset(words.p_in_words(mistake["p"]))} for mistake in words.mistakes_of(result)
+    ]
 
 
 def _effect(content: DiagnosisContent, number: int, effect: Mapping[str, Any]) -> dict[str, Any]:
@@ -96,8 +101,7 @@ def _effect(content: DiagnosisContent, number: int, effect: Mapping[str, Any]) -
     others = [
         {
             "name": name,
-            "sentence": CATALOGUE[name].sentence,
-            "shown_by": CATALOGUE[name].shown_by,
+            "sentence": CATALOGUE[name].sentence if name in CATALOGUE else UNNAMED_WORDS[name],
             "shift": words.shift_in_words(content.result, number, name),
             "tied": name in effect["cannot_tell_from"],
         }
@@ -109,7 +113,7 @@ def _effect(content: DiagnosisContent, number: int, effect: Mapping[str, Any]) -
         "sentence": effect["words"],
         "named": effect["name"] in CATALOGUE,
         "parameters": list(words.parameters_in_words(effect)),
-        "p": typeset(f"{effect['p_all_looks']:.1g}"),
+        "p": typeset(words.p_in_words(effect["p_all_looks"])),
         "rho": None if effect["rho"] is None else f"{effect['rho']:.1f}",
         "others": others,
         "ranking": _drawn(plots.ranking(ranked, effect["name"], number)) if ranked else None,
@@ -136,9 +140,9 @@ def _gap(result: Mapping[str, Any]) -> dict[str, Any] | None:
     return {
         "rows": rows,
         "counted": counted,
-        "before": f"{gap['before']:.2f}",
-        "after": f"{gap['after']:.2f}",
-        "p": None if gap["p_after"] is None else f"{gap['p_after']:.2g}",
+        "before": f"{gap['before']:.2f}" if counted else "",
+        "after": f"{gap['after']:.2f}" if counted else "",
+        "p": None if gap["p_after"] is None else typeset(words.p_in_words(gap["p_after"], 2)),
         "before_rms": quantity(gap["before_rms"], gap["unit"]) if counted else "",
         "after_rms": quantity(gap["after_rms"], gap["unit"]) if counted else "",
         "noise": quantity(gap["noise_rms"], gap["unit"]),
@@ -170,7 +174,7 @@ def _tests(result: Mapping[str, Any]) -> list[Row]:
             rms = quantity(told["rms"], result["gap"]["unit"])
             simulated = quantity(told["rms_of_a_simulated_run"], result["gap"]["unit"])
             chi2 = f"{told['chi2']:.1f} for {told['dof']}"
-            rows.append(Row(NAMES[name], (chi2, typeset(f"{told['p']:.2g}"), rms, simulated)))
+            rows.append(Row(NAMES[name], (chi2, typeset(words.p_in_column(told["p"], 2)), rms, simulated)))
     return rows
 
 

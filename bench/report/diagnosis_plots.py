@@ -155,7 +155,8 @@ def ranking(rows: Sequence[Rival], named: str, number: int) -> str:
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
         for kind, colour, text in (
-            ("named", BLUE, "named"), ("tied", ORANGE, "as good: a tie"), ("less", "#B9C4CE", "less plausible"),
+            ("named", BLUE, "found"), ("tied", ORANGE, "not told apart from it"),
+            ("less", "#B9C4CE", "less plausible"),
         ):  # fmt: skip
             chosen = [i for i, rival in enumerate(ordered) if _kind(rival, named) == kind]
             if chosen:
@@ -166,7 +167,7 @@ def ranking(rows: Sequence[Rival], named: str, number: int) -> str:
                     label=text,
                     height=0.7,
                 )
-        if len(alike) > 1:
+        if len(alike) > 1 and max(alike) - min(alike) < len(alike):  # no other one between them
             reach = max(ordered[i].evidence for i in alike)
             at = reach + 0.03 * max(abs(reach), 1.0)
             axes.plot([at, at], [min(alike) - 0.35, max(alike) + 0.35], color="#222222", linewidth=1.2)

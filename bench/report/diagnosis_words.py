@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from bench.model import CATALOGUE
@@ -19,8 +19,15 @@ MISTAKES: Final = frozenset(
 )  # fmt: skip
 
 
+MUCH_LESS_CERTAIN: Final = 2.0
+"""A u that grows by no more than this is not worth a line."""
+
+LEAST_P: Final = 1e-9
+"""Smaller probabilities are not told: they would rest on the noise being normal far beyond what was ever seen."""
+
 STILL_MISSING: Final = (
-    "the readings still differ from the simulated bench by more than their repeats: something else is there"
+    "the readings still differ from the simulated bench by more than their repeats do, at 1 %: "
+    "something small may be left"
 )
 
 
@@ -57,7 +64,8 @@ def effect_title(effect: Mapping[str, Any]) -> str:
     if effect["channels"] and of_channels:
         title += f" of {', '.join(effect['channels'])}"
     if effect.get("installations"):
-        title += f" in installation {', '.join(effect['installations'])}"
+        several = "s" if len(effect["installations"]) > 1 else ""
+        title += f" in installation{several} {', '.join(effect['installations'])}"
     return title
 
 
@@ -65,6 +73,12 @@ def parameters_in_words(effect: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
     for name, told in effect["parameters"].items():
         yield from _values(name, told, "")
+    for one in effect.get("together", ()):
+        both = f"{rounded(one['value'], one['u'])} ± {two_digits(one['u'])}"
+        yield (
+            f"{one['combination']} of {one['parameter']} of {' and '.join(one['of'])} = "
+            f"{with_unit(both, one['unit'])} (u): the readings tell this, and hardly either by itself"
+        )
 
 
 def _values(name: str, told: Mapping[str, Any], of: str) -> Iterator[str]:
@@ -84,6 +98,16 @@ def _values(name: str, told: Mapping[str, Any], of: str) -> Iterator[str]:
             yield from _values(key, inner, f" in installation {name}")
 
 
+def p_in_words(p: float, digits: int = 1) -> str:
+    """Return "p = 0.003"; far out nobody knows how chance is distributed, and it is "p < 1e-09"."""
+    return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.{digits}g}"
+
+
+def p_in_column(p: float, digits: int = 1) -> str:
+    """Return the same below a heading that is p: "0.003", "< 1e-09"."""
+    return p_in_words(p, digits).removeprefix("p ").removeprefix("= ")
+
+
 def place_in_words(place: Mapping[str, Any]) -> str:
     """Return one pattern of the disagreement as a phrase."""
     where = "verification points" if place["channel"] == "modulus" else f"channel {place['channel']}"
@@ -92,7 +116,7 @@ def place_in_words(place: Mapping[str, Any]) -> str:
     elif place["channel"] != "modulus":
         where += f", installation {place['installation']}"
     size = quantity(place["size"], place["unit"])
-    return f"{where}: {place['pattern']}, {size} (p = {place['p']:.1g} with all looks)"
+    return f"{where}: {place['pattern']}, {size} ({p_in_words(place['p'])} with all looks)"
 
 
 def smallest_found(result: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -132,18 +156,22 @@ def verdict_in_words(result: Mapping[str, Any]) -> str:
         case "agrees":
             return "readings and model agree within the noise"
         case "mistake":
-            found = ", ".join(str(mistake["name"]) for mistake in mistakes_of(result))
+            found = ", ".join(
+                " or ".join([mistake["name"], *mistake["cannot_tell_from"]])
+                for mistake in mistakes_of(result)
+            )
             return f"{found}; put it right and measure again, or mend the readings file"
         case "named":
             return f"{', '.join(names)}{closed}"
         case "confounded":
-            return f"{_alike(result)}{closed}"
+            return f"{alike_in_words(effects_of(result))}{closed}"
     return f"{'; '.join(str(effect['words']) for effect in effects_of(result))}{closed}"
 
 
-def _alike(result: Mapping[str, Any]) -> str:
+def alike_in_words(effects: Sequence[Mapping[str, Any]]) -> str:
+    """Return what was found, each with what it cannot be told from: "bias_drift of x or warm_up"."""
     told = []
-    for effect in effects_of(result):
+    for effect in effects:
         others = effect["cannot_tell_from"]
         told.append(effect_title(effect) + (f" or {' or '.join(others)}" if others else ""))
     return "; ".join(told)
@@ -158,3 +186,31 @@ def shift_in_words(result: Mapping[str, Any], found: int, other: str) -> str:
                 f"were it that, {shift['coefficient']} would differ by {fixed(shift['in_u'], 1, sign=True)} u"
             )
     return ""
+
+
+def joined_in_words(result: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what the verification points say where they alone show what was found; nothing where not."""
+    before, after = (result["simulation"][when] for when in ("before", "after"))
+    if after is None or not after["verification_joined"]:
+        return
+    worst = [
+        max((abs(point["delta_g"]) for point in one["delta_g"] if point["delta_g"] is not None), default=None)
+        for one in (before, after)
+    ]
+    if None not in worst:
+        sizes = [quantity(size, "g") for size in worst if size is not None]
+        yield (
+            "that is a test of the settings; some of what was found shows in the verification points alone: worst "
+            f"|Δg| {sizes[0]} without, {sizes[1]} with it, which is no check, as they took part"
+        )
+
+
+def less_certain(result: Mapping[str, Any]) -> list[str]:
+    """Return the coefficients whose u grows with what was found, and how many times: "Kyz (u 249 times)"."""
+    grown = [
+        (name, one["u_after"] / one["u_before"])
+        for name, one in result["coefficients"].items()
+        if one["u_before"] > 0
+    ]
+    grown.sort(key=lambda pair: -pair[1])
+    return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]

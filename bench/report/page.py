@@ -6,13 +6,13 @@ import math
 from pathlib import Path
 from typing import Any, Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from bench.calibration import Calibration, LackOfFit, Verification
 from bench.report import plots, tables
 from bench.report.content import ReportContent
-from bench.report.numbers import fixed, places, probability, scale_for, two_digits, typeset
+from bench.report.numbers import fixed, places, probability, scale_for, two_digits
+from bench.report.template import page_template
 
 FITS: Final = 0.01
 """Probability of lack of fit below which the page says that model and readings disagree."""
@@ -27,16 +27,8 @@ RULES: Final = {
 
 def render_report(content: ReportContent) -> str:
     """Return the report as one self-contained HTML page; the same content gives the same text."""
-    environment = Environment(
-        loader=PackageLoader("bench.report", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = typeset
     calibration, other = content.calibration, content.other
-    return environment.get_template("report.html.j2").render(
+    return page_template("report.html.j2").render(
         content=content,
         calibration=calibration,
         verdict=verdict(content.verification),
