@@ -171,7 +171,8 @@ def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: Ca
     marks |= _judge_gap(answer, diagnosis)
     marks["alone given"] = verdict == "named"
     if verdict == "named":
-        marks["alone right"] = sets == [{truth}]
+        # an effect that is found twice, with two shapes, is the same name
+        marks["alone right"] = set().union(*sets) == {truth}
     return marks
 
 
@@ -185,7 +186,7 @@ def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
     p_after = diagnosis.get("gap", {}).get("p_after")
     if diagnosis["verdict"] in {"named", "confounded"} and p_after is not None:
         marks["gap closed"] = p_after > SIGNIFICANT
-    alone = [effect["name"] for effect in diagnosis["effects"]] == list(answer.names)
+    alone = {effect["name"] for effect in diagnosis["effects"]} == set(answer.names)
     told = "coefficients" in diagnosis and not answer.names[0].startswith("thermal")
     if diagnosis["verdict"] == "named" and alone and told:
         for when in ("before", "after"):
