@@ -11,10 +11,13 @@ from bench.discrepancy import Threshold, ThresholdCache, diagnose
 from bench.discrepancy.evidence import Whitened
 from bench.discrepancy.linear import Linear
 from bench.discrepancy.posterior import posterior
+from bench.discrepancy.show import Simulation, show
 from bench.model import ForwardModel
 from bench.shipped import find_bench
 from benchmarks.blind_trial.cases import Case
 
+LOCAL_GRAVITY = 9.81
+"""m/s²; the coefficients are per local g, whatever it is."""
 STATED_BENCH = "paper-stand"
 """The bench file that the diagnosis is given; its noise is not that of the cases."""
 
@@ -34,6 +37,10 @@ class _ByDesign(ThresholdCache):
         return self.known[self.key]
 
 
+def _points(simulation: Simulation | None) -> list[tuple[float, float]]:
+    return [] if simulation is None else [(point.delta_g, point.u) for point in simulation.points]
+
+
 @cache
 def _bench() -> tuple[BenchFile, ForwardModel, dict[str, float], _ByDesign]:
     bench = load_bench(find_bench(STATED_BENCH))
@@ -44,20 +51,26 @@ def _bench() -> tuple[BenchFile, ForwardModel, dict[str, float], _ByDesign]:
 def diagnose_case(case: Case) -> dict[str, Any]:
     """Return what `bench diagnose --json` promises, for the readings of a case, and the coefficients.
 
-    These are estimated without and with what was found, with the covariance of each.
+    These are estimated without and with what was found, with the covariance of each; where it was named, so is
+    the error of the modulus at the verification points, g, with its u.
     """
     bench, model, stand_u, thresholds = _bench()
     thresholds.key = (case.design, case.reading_noise_v)
     nominal = bench.unit_under_test.scale_factors.values
     found = diagnose(case.readings, model, stand_u, nominal, thresholds)
+    points = None
+    if found.verdict == "named":
+        shown = show(found.mistakes.corrected, model, found.applied, stand_u, LOCAL_GRAVITY)
+        points = {"before": _points(shown.before), "after": _points(shown.after)}
     nothing = found.candidates.columns[:, :0]
     without = posterior(found.linear, nothing, found.noise)
     return found.to_json() | {
+        "delta_g": points,
         "coefficients": {
             name: {
                 "value": (found.linear.block.vector + fitted.mean[:FIXED]).tolist(),
                 "covariance": fitted.covariance[:FIXED, :FIXED].tolist(),
             }
             for name, fitted in (("before", without), ("after", found.fitted))
-        }
+        },
     }

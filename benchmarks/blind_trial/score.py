@@ -179,19 +179,27 @@ def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: Ca
 def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
     """Say whether the gap is closed on readings held out, and whether the coefficients are right again.
 
-    Right are coefficients whose twelve errors together have a chi-square that chance exceeds in 1 %; counted
-    where the true effect was named, and alone. An effect of temperature moves what a bias means: left out.
+    With a name, also whether the verification points are no worse for it. Right are coefficients whose twelve
+    errors together have a chi-square that chance exceeds in 1 %; counted where the true effect was named, and
+    alone. An effect of temperature moves what a bias means: left out.
     """
     marks: Marks = {}
     p_after = diagnosis.get("gap", {}).get("p_after")
     if diagnosis["verdict"] in {"named", "confounded"} and p_after is not None:
         marks["gap closed"] = p_after > SIGNIFICANT
+    if diagnosis.get("delta_g") and diagnosis["delta_g"]["before"]:
+        marks["Δg not worse"] = _not_worse(**diagnosis["delta_g"])
     alone = {effect["name"] for effect in diagnosis["effects"]} == set(answer.names)
     told = "coefficients" in diagnosis and not answer.names[0].startswith("thermal")
     if diagnosis["verdict"] == "named" and alone and told:
         for when in ("before", "after"):
             marks[f"coefficients right {when}"] = _coefficients_right(diagnosis["coefficients"][when])
     return marks
+
+
+def _not_worse(before: list[tuple[float, float]], after: list[tuple[float, float]]) -> bool:
+    """Say whether the worst |Δg| after a name is at most one u above the worst one before."""
+    return max(abs(g) for g, _ in after) <= max(abs(g) for g, _ in before) + max(u for _, u in after)
 
 
 SIGNIFICANT: Final = 0.01
