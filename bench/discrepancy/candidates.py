@@ -56,7 +56,7 @@ class Column:
 class Variant:
     """One form of a family: which columns of `Candidates.columns` it has, and what they stand for.
 
-    `shape` holds the values of shape parameters, SI. `weight` is its share of the family.
+    `shape` holds the values of shape parameters, SI.
     """
 
     family: str
@@ -65,7 +65,6 @@ class Variant:
     mounts: tuple[str, ...] = ()
     shape: tuple[tuple[str, float], ...] = ()
     where: str = ""
-    weight: float = 1.0
 
     @property
     def named(self) -> bool:

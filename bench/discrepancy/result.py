@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from bench.discrepancy.candidates import Candidates
@@ -100,9 +100,6 @@ class Diagnosis:
     noise: NoiseSize
     p_left: float
     notes: tuple[str, ...] = ()
-    next_measurement: Mapping[str, Any] | None = None
-    model: str | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
@@ -110,7 +107,7 @@ class Diagnosis:
         return tuple(a for e in self.effects for a in e.applied)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the promised result."""
+        """Return the promised result; who proposes a measurement or writes a model file puts them in."""
         mistakes = [
             {
                 "name": m.name,
@@ -133,11 +130,11 @@ class Diagnosis:
             "verdict": self.verdict,
             "where": [place.to_json() for place in self.where],
             "effects": mistakes + [effect.to_json() for effect in self.effects],
-            "next_measurement": None if self.next_measurement is None else dict(self.next_measurement),
+            "next_measurement": None,
             "hidden": list(self.hidden),
             "hidden_parts": {name: list(parts) for name, parts in self.hidden.items() if parts},
             "gap": self.gap.to_json(),
-            "model": self.model,
+            "model": None,
             "noise": {
                 "reading": self.noise.reading,
                 "setting_arcsec": self.noise.setting_rad * 648000 / 3.141592653589793,
@@ -147,7 +144,6 @@ class Diagnosis:
             "detectable": dict(self.detectable),
             "registered": dict(self.registered),
             "notes": list(self.notes),
-            **self.extra,
         }
 
 
