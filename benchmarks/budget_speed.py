@@ -1,6 +1,6 @@
 """How fast is a budget? Beside GTC and uncertainties doing the same, and Monte Carlo in trials per second.
 
-    python benchmarks/budget_speed.py
+    python -m benchmarks.budget_speed
 
 The full budget: every source of the shipped bench, generalised least squares, covariance and degrees of freedom
 of the twelve coefficients, from conditions to numbers. For the peers, who have no estimator of their own, the
@@ -21,13 +21,13 @@ import GTC
 import numpy as np
 import uncertainties
 
-from bench.bench_file import load_bench
-from bench.budget import Setup, bench_sources, make_budget, make_setup
-from bench.budget.exact import exact_monte_carlo
-from bench.budget.linear_noise import linear_noise
-from bench.calibration.closed_form import closed_form
-from bench.procedure import load_procedure
-from bench.shipped import find_bench, find_procedure
+from bench.analysis.budget import Setup, bench_sources, make_budget, make_setup
+from bench.analysis.budget.exact import exact_monte_carlo
+from bench.analysis.budget.linear_noise import linear_noise
+from bench.analysis.calibration.closed_form import closed_form
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench, find_procedure
+from bench.procedure.load import load_procedure
 
 REPEATS = 7
 TRIALS = 2_000_000

@@ -1,6 +1,6 @@
 """How large an effect must be to be found, beside the best test that there can be.
 
-    python benchmarks/detection_limit.py [--sets 1000]
+    python -m benchmarks.detection_limit [--sets 1000]
 
 For effects of the catalogue with one parameter, of growing size rho (in units of noise, after the twelve
 coefficients and the stand errors), the share of simulated runs in which the search finds anything. The
@@ -12,21 +12,16 @@ alarms, too, for this comparison; the application has fewer.
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-
-from discrepancy_bench import NOISE_V, Set, paper_run, set_up
-from paper_bench import SETTING_U_RAD
-
-from bench.discrepancy.evidence import Search, Whitened
-from bench.discrepancy.noise_grid import make_noise_grid
-from bench.discrepancy.threshold import null_responses, total_evidence
+from bench.analysis.diagnosis.evidence import Search, Whitened
+from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.analysis.diagnosis.threshold import null_responses, total_evidence
+from tests.support.diagnosis_bench import NOISE_V, Set, paper_run, set_up
+from tests.support.paper_bench import SETTING_U_RAD
 
 LOOKS = 55
 ALPHA = 0.01

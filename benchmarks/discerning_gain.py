@@ -1,6 +1,6 @@
 """What the procedure `discerning` gains against `paper` and `calibration`: how many effects are named, and alone.
 
-Usage: python benchmarks/discerning_gain.py [--draws 300] [--seed 1]
+Usage: python -m benchmarks.discerning_gain [--draws 300] [--seed 1]
 
 The readings are those that a procedure would give, made linear; an effect of the catalogue is drawn (every family
 alike, one of its forms, normal sizes of one or three times what is plausible), with the noise of the bench,
@@ -15,21 +15,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.bench_file import load_bench
-from bench.discrepancy.candidates import make_candidates
-from bench.discrepancy.evidence import Whitened
-from bench.discrepancy.linear import Linear, make_linear
-from bench.discrepancy.naming import Found, name
-from bench.discrepancy.noise_grid import make_noise_grid
-from bench.discrepancy.planned import planned_readings
-from bench.discrepancy.posterior import NoiseSize
-from bench.discrepancy.separation import Design, Form, Part
-from bench.discrepancy.threshold import make_threshold
+from bench.analysis.diagnosis.candidates import make_candidates
+from bench.analysis.diagnosis.evidence import Whitened
+from bench.analysis.diagnosis.linear import Linear, make_linear
+from bench.analysis.diagnosis.naming import Found, name
+from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.analysis.diagnosis.planned import planned_readings
+from bench.analysis.diagnosis.posterior import NoiseSize
+from bench.analysis.diagnosis.separation import Design, Form, Part
+from bench.analysis.diagnosis.threshold import make_threshold
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, ForwardModel
-from bench.plan import Read
-from bench.procedure import load_procedure
-from bench.readings import UNORIENTED, VERIFICATION
-from bench.shipped import find_bench, find_procedure
+from bench.procedure.load import load_procedure
+from bench.procedure.plan import Read
+from bench.readings.table import UNORIENTED, VERIFICATION
 
 PROCEDURES = ("paper", "calibration", "discerning")
 FOR_TIES = (*PROCEDURES, "turn-12", "turn-24", "remount-90")

@@ -1,6 +1,6 @@
 """How fast are the estimators, beside what a user would take instead? All in one run, on the paper's design.
 
-    python benchmarks/estimator_speed.py --units 2000
+    python -m benchmarks.estimator_speed --units 2000
 
 Side by side for 54 readings (2 installations, 9 angles, 3 passes): `calibrate` as a program calls it (checks,
 noise sizes, fit, covariance, look for outliers), the same by the other estimators, the batch, and
@@ -21,17 +21,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
+import numpy as np
+from scipy.optimize import least_squares
+
+from bench.analysis.calibration import Noise, calibrate
+from bench.analysis.calibration.batch import calibrate_batch
+from bench.readings.table import Readings
+from tests.support.honest_runs import MODEL, simulate_many
+from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH, design, simulate, specific_force
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
-
-import numpy as np  # noqa: E402
-from honest_runs import MODEL, simulate_many  # noqa: E402
-from paper_bench import SETTING_U_RAD, STAND_U, TRUTH, design, simulate, specific_force  # noqa: E402
-from scipy.optimize import least_squares  # noqa: E402
-
-from bench.calibration import Noise, calibrate  # noqa: E402
-from bench.calibration.batch import calibrate_batch  # noqa: E402
-from bench.readings import Readings  # noqa: E402
 
 NOISE_V = 1e-4
 DEFAULT_MS, BATCH_RATIO = 5.0, 20.0

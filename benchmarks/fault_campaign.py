@@ -1,6 +1,6 @@
 """What do a thousand faults on the wire do to runs? Promised: no hang, no traceback, no wrong value.
 
-    python benchmarks/fault_campaign.py --faults 1200 --seed 1 --jobs 2
+    python -m benchmarks.fault_campaign --faults 1200 --seed 1 --jobs 2
 
 Every trial is a dry run of a short procedure by the command line, on a bench file of `config` whose stand,
 voltmeters and operator are made exact and whose timeouts short (0.2 s). One fault of a random kind strikes one
@@ -26,11 +26,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
-sys.path[:0] = [str(Path(__file__).resolve().parent)]
-
-from fault_trials import LIMIT_S, ROOT, Outcome, Stand, Trial, carry_out, stands  # noqa: E402
-
-from sim.faults import Fault, FaultKind  # noqa: E402
+from benchmarks.fault_trials import LIMIT_S, ROOT, Outcome, Stand, Trial, carry_out, stands
+from sim.wires.faults import Fault, FaultKind
 
 STUCK_S: Final = 90.0
 STORM: Final = "storm"

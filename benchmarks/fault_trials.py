@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,17 +15,16 @@ from unittest import mock
 import numpy as np
 import yaml
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT)]
+import bench.assembly.served
+from bench.cli.app import main as bench_command
+from bench.files.bench.file import BenchFile, load_bench
+from bench.model import Conditions, ForwardModel, stand_errors
+from bench.run.folder import Run
+from sim.bench import OF_INSTRUMENT, SimulatedBench
+from sim.wires.faults import Fault, FaultKind, FaultyInstrument
+from sim.wires.session import Instrument, WireFault
 
-import bench.compose  # noqa: E402
-from bench.bench_file import BenchFile, load_bench  # noqa: E402
-from bench.cli import main as bench_command  # noqa: E402
-from bench.model import Conditions, ForwardModel, stand_errors  # noqa: E402
-from bench.run_folder import Run  # noqa: E402
-from sim.bench import OF_INSTRUMENT, SimulatedBench  # noqa: E402
-from sim.faults import Fault, FaultKind, FaultyInstrument  # noqa: E402
-from sim.session import Instrument, WireFault  # noqa: E402
+ROOT = Path(__file__).resolve().parents[1]
 
 TIMEOUT: Final = "0.2 s"
 LIMIT_S: Final = 6.0

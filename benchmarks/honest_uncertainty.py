@@ -1,7 +1,7 @@
 """Are the stated uncertainties true? Thousands of simulated runs of the paper's procedure with known truth.
 
-    python benchmarks/honest_uncertainty.py --runs 2000 --noise 1e-4 2e-5 --workers 2
-    python benchmarks/honest_uncertainty.py --batch 10000 --joined 1000 --runs 0
+    python -m benchmarks.honest_uncertainty --runs 2000 --noise 1e-4 2e-5 --workers 2
+    python -m benchmarks.honest_uncertainty --batch 10000 --joined 1000 --runs 0
 
 For each size of the voltmeter's noise (V): the root mean square of (estimate - truth)/u for each coefficient
 by the default estimator (promised: 0.95 to 1.05) and by the closed form; how many times smaller the errors of
@@ -25,15 +25,14 @@ from dataclasses import fields
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
+import numpy as np
+
+from bench.analysis.calibration.batch import calibrate_batch
+from bench.model.block import COEFFICIENTS
+from tests.support.honest_runs import MODEL, Runs, rms, run, run_joined, simulate_many
+from tests.support.paper_bench import STAND_U, TRUTH, simulate
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
-
-import numpy as np  # noqa: E402
-from honest_runs import MODEL, Runs, rms, run, run_joined, simulate_many  # noqa: E402
-from paper_bench import STAND_U, TRUTH, simulate  # noqa: E402
-
-from bench.calibration.batch import calibrate_batch  # noqa: E402
-from bench.model.block import COEFFICIENTS  # noqa: E402
 
 KYX, KZX = COEFFICIENTS.index("Kyx"), COEFFICIENTS.index("Kzx")
 CHUNK = 100

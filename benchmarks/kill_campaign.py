@@ -3,7 +3,7 @@
 Every run must end with exactly the planned readings, none twice, none missing, equal to those of a run of
 the same seed that nobody disturbed, with the chain of hashes whole:
 
-    python benchmarks/kill_campaign.py --kills 200 --workers 2
+    python -m benchmarks.kill_campaign --kills 200 --workers 2
 
 The moments are spread by seed over the life of the process, its start and its conclusion included.
 """
@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.record import read_history
-from bench.run_folder import Run
+from bench.run.folder import Run
+from bench.run.record import read_history
 
 PROGRAM = [sys.executable, "-c", "from bench.cli import main; main()"]
 PROCEDURE = "quick"

@@ -2,7 +2,7 @@
 
 Each in a process of its own, with the bare import of the program beside it:
 
-    python benchmarks/plan_size.py
+    python -m benchmarks.plan_size
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ REPEATS = STEPS // 3 // STEPS_OF_A_PASS
 
 
 def measure(with_plan: bool) -> None:
-    from bench.bench_file import load_bench
-    from bench.plan_check import check, disk_needed_bytes, operator_actions
-    from bench.plan_listing import listing
-    from bench.procedure import load_procedure
-    from bench.shipped import find_bench
+    from bench.files.bench.file import load_bench
+    from bench.files.shipped import find_bench
+    from bench.procedure.check import check, disk_needed_bytes, operator_actions
+    from bench.procedure.listing import listing
+    from bench.procedure.load import load_procedure
 
     bench = load_bench(find_bench("paper-stand"))
     begun = time.process_time()

@@ -2,7 +2,7 @@
 
 On the shipped bench of the paper (stand errors with k = 3), and with its limits taken as one standard deviation:
 
-    python benchmarks/point_planning.py
+    python -m benchmarks.point_planning
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bench_file import load_bench
-from bench.budget import Setup, make_budget, stand_source
-from bench.calibration.result import CalibrationError
+from bench.analysis.budget import Setup, make_budget, stand_source
+from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.planning.goals import Goal, coefficient_goals, vector_goal
+from bench.analysis.planning.points import Points, Sites, Stand, best_within, cheapest
+from bench.analysis.planning.procedure_text import Times
+from bench.analysis.planning.settings import Setting, conditions_of, fitted, settings_of
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench, find_procedure
 from bench.model import Distribution, ForwardModel, Mount
-from bench.planning.goals import Goal, coefficient_goals, vector_goal
-from bench.planning.points import Points, Sites, Stand, best_within, cheapest
-from bench.planning.procedure_text import Times
-from bench.planning.settings import Setting, conditions_of, fitted, settings_of
-from bench.procedure import load_procedure
-from bench.shipped import find_bench, find_procedure
+from bench.procedure.load import load_procedure
 
 Floats = NDArray[np.float64]
 

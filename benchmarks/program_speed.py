@@ -2,7 +2,7 @@
 
 Each is given beside the bare interpreter's start in the same run, since the machine decides both:
 
-    python benchmarks/program_speed.py
+    python -m benchmarks.program_speed
 """
 
 from __future__ import annotations

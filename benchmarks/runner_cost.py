@@ -2,7 +2,7 @@
 
 Instruments in memory that answer at once, a virtual clock, the record on the disk of the working folder:
 
-    python benchmarks/runner_cost.py
+    python -m benchmarks.runner_cost
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from bench.plan import Mount, Plan, Read, Turn
-from bench.record import Record
-from bench.runner import Runner
-from bench.workbench import Instruments
+from bench.procedure.plan import Mount, Plan, Read, Turn
+from bench.run.record import Record
+from bench.run.runner import Runner
+from bench.run.workbench import Instruments
 from drivers.clock import utc_now
 from drivers.interfaces import Answer, Channel, Direction, HeadPosition, Identity, Prompt, VoltmeterSettings
-from sim.clock import VirtualClock
+from sim.world.clock import VirtualClock
 
 READINGS = 500
 

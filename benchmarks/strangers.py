@@ -1,7 +1,7 @@
 """Are other people's drivers at home on the simulated meter? PyMeasure's HP34401A and QCoDeS's Agilent34401A.
 
     python -m venv /tmp/strangers && /tmp/strangers/bin/pip install pymeasure qcodes pyvisa-py pyserial
-    /tmp/strangers/bin/python benchmarks/strangers.py --bench-program .venv/bin/bench
+    /tmp/strangers/bin/python -m benchmarks.strangers --bench-program .venv/bin/bench
 
 Serves the shipped bench with its meters set to `lan` and lets each driver, as published, do a full exchange
 over TCP and over the pseudo-terminal: every property that it has, and an empty error queue after each. Prints

@@ -1,6 +1,6 @@
 """How long does `write; query` take through the drivers' transport, against a raw socket? Promised: under 2 times.
 
-    python benchmarks/wire_speed.py --exchanges 2000 --rounds 7
+    python -m benchmarks.wire_speed --exchanges 2000 --rounds 7
 
 Both talk to the same simulated meter, in turns, in one run; the meter is served by a process of its own. The
 exchange is a setting and its query, `VOLT:NPLC 10` and `VOLT:NPLC?`. The median of the rounds counts. Exit
@@ -17,11 +17,8 @@ import sys
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from pathlib import Path
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
-
-from drivers.visa import MessageSession  # noqa: E402
+from drivers.wire.visa import MessageSession
 
 COMMAND, QUERY = "VOLT:NPLC 10", "VOLT:NPLC?"
 NUMBER = r"[+-]\d\.\d{6}E[+-]\d\d"
@@ -30,10 +27,10 @@ PROMISE = 2.0
 
 def serve(pipe: Connection) -> None:
     """Serve one meter; send its port, and end when something comes back."""
-    from bench.bench_file import load_bench
-    from bench.compose import served_bench
+    from bench.assembly.served import served_bench
+    from bench.files.bench.file import load_bench
+    from bench.files.shipped import find_bench
     from bench.model import ForwardModel
-    from bench.shipped import find_bench
 
     bench = load_bench(find_bench("paper-stand"))
     with served_bench(bench, ForwardModel(bench.installation_models()), 1, with_terminals=False) as serving:

@@ -26,7 +26,7 @@ from drivers.interfaces import (
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
-    from drivers.visa import MessageSession
+    from drivers.wire.visa import MessageSession
 
 Interface = Literal["lan", "gpib", "rs232"]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.world import World
+    from sim.world.world import World
 
 _PREFIX: Final = "ACUTROL>"
 _COMMAND: Final = re.compile(r":([a-z]+):([a-z]+)((?:[ ,]+\S+)*)\s*\Z", re.IGNORECASE)

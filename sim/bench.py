@@ -10,16 +10,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.interfaces import BenchError
-from sim.agilent_34401a import Agilent34401A, Interface
-from sim.clock import VirtualClock
-from sim.faults import FaultKind, FaultyInstrument
+from sim.agilent_34401a.meter import Agilent34401A, Interface
 from sim.keysight_34461a import Keysight34461A
-from sim.keysight_34970a import Keysight34970A
-from sim.prologix import GpibAdapter
-from sim.server import TcpServer
-from sim.session import Instrument
-from sim.terminal import TerminalServer
-from sim.traffic import Traffic
+from sim.keysight_34970a.multiplexer import Keysight34970A
+from sim.wires.faults import FaultKind, FaultyInstrument
+from sim.wires.prologix import GpibAdapter
+from sim.wires.pty import TerminalServer
+from sim.wires.server import TcpServer
+from sim.wires.session import Instrument
+from sim.wires.traffic import Traffic
+from sim.world.clock import VirtualClock
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
     from drivers.clock import Clock
     from drivers.interfaces import Channel
-    from sim.agilent_34401a_converter import Accuracy
-    from sim.faults import Fault
-    from sim.scpi import ScpiInstrument
-    from sim.session import Dialect
-    from sim.world import World
+    from sim.agilent_34401a.converter import Accuracy
+    from sim.scpi.instrument import ScpiInstrument
+    from sim.wires.faults import Fault
+    from sim.wires.session import Dialect
+    from sim.world.world import World
 
 OF_INSTRUMENT: Final = frozenset(
     {FaultKind.HANG, FaultKind.POWER_CYCLE, FaultKind.OVERLOAD, FaultKind.LOCAL, FaultKind.ERROR}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.world import World
+    from sim.world.world import World
 
 _NUMBER: Final = r"[+-]?\d+(?:\.\d+)?"
 _TEMP: Final = re.compile(rf"TEMP,((?: ?[SHL]{_NUMBER})+)\Z")

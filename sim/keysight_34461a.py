@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Literal
 
-from sim.agilent_34401a import IDENTITY as IDENTITY_34401A
-from sim.agilent_34401a import Agilent34401A
-from sim.agilent_34401a_trigger import Trigger
-from sim.scpi import Command
-from sim.scpi_values import Boolean, Choice
+from sim.agilent_34401a.meter import IDENTITY as IDENTITY_34401A
+from sim.agilent_34401a.meter import Agilent34401A
+from sim.agilent_34401a.trigger import Trigger
+from sim.scpi.instrument import Command
+from sim.scpi.values import Boolean, Choice
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
-    from sim.agilent_34401a_converter import Accuracy, Source
+    from sim.agilent_34401a.converter import Accuracy, Source
 
 IDENTITY: Final = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-01"
 

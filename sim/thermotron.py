@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.world import World
+    from sim.world.world import World
 
 IDENTITY: Final = "8800 V3.12"
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Literal
 
-from sim.scpi import Command, ScpiInstrument
-from sim.scpi_status import ScpiError
-from sim.scpi_values import Boolean, Choice, Number
+from sim.scpi.instrument import Command, ScpiInstrument
+from sim.scpi.status import ScpiError
+from sim.scpi.values import Boolean, Choice, Number
 
 if TYPE_CHECKING:
-    from sim.world import World
+    from sim.world.world import World
 
 IDENTITY: Final = "Watlow Electric,F4T,12345,04:07:0011"
 OLD_IDENTITY: Final = "Watlow Electric,F4T,12345,03:01:0004"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.world import World
+    from sim.world.world import World
 
 _SPEED_UNITS: Final = 1.6384
 """The setting maxspeed is this many per microstep/s."""

@@ -1,16 +1,12 @@
-"""Makes the helpers beside the tests importable by their bare names; a command line in an empty folder."""
+"""What tests share: a command line in an empty folder."""
 
 import io
 import os
-import sys
-from pathlib import Path
 
 import pytest
 
 # as `bench diagnose` has it: with many small matrices the threads would wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture
@@ -26,7 +22,7 @@ def bench(capsys, empty_folder):
     """Run a command; return (exit status, standard output, standard error)."""
 
     def call(*arguments, stdin=""):
-        from bench.cli import main
+        from bench.cli.app import main
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("sys.stdin", io.StringIO(stdin))

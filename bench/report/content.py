@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from bench.calibration import Calibration, Verification
+from bench.analysis.calibration import Calibration, Verification
 
 
 @dataclass(frozen=True)

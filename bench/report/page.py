@@ -8,10 +8,10 @@ from typing import Any, Final
 
 from markupsafe import Markup
 
-from bench.calibration import Calibration, LackOfFit, Verification
+from bench.analysis.calibration import Calibration, LackOfFit, Verification
+from bench.base.numbers import fixed, places, probability, scale_for, two_digits
 from bench.report import plots, tables
 from bench.report.content import ReportContent
-from bench.report.numbers import fixed, places, probability, scale_for, two_digits
 from bench.report.template import page_template
 
 FITS: Final = 0.01

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibration import Calibration, Verification
+from bench.analysis.calibration import Calibration, Verification
+from bench.base.numbers import MINUS, Scale, scale_for
 from bench.model.block import COEFFICIENTS
 from bench.model.conditions import Mount
-from bench.report.numbers import MINUS, Scale, scale_for
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,15 +5,15 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from bench.bench_file import BenchFile, load_bench
-from bench.calibration.design import FIXED
-from bench.discrepancy import Threshold, ThresholdCache, diagnose
-from bench.discrepancy.evidence import Whitened
-from bench.discrepancy.linear import Linear
-from bench.discrepancy.posterior import posterior
-from bench.discrepancy.show import Simulation, show
+from bench.analysis.calibration.design import FIXED
+from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
+from bench.analysis.diagnosis.evidence import Whitened
+from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.posterior import posterior
+from bench.analysis.diagnosis.show import Simulation, show
+from bench.files.bench.file import BenchFile, load_bench
+from bench.files.shipped import find_bench
 from bench.model import ForwardModel
-from bench.shipped import find_bench
 from benchmarks.blind_trial.cases import Case
 
 LOCAL_GRAVITY = 9.81

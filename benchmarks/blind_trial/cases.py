@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.readings import Readings, make_readings
+from bench.readings.table import Readings, make_readings
 from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C, Run, Weather, make_run
 from benchmarks.blind_trial.effects import CATALOGUE, CLASS_OF, HIDDEN, OUTSIDE, SEEN_IN_VERIFICATION, STAND
 from benchmarks.blind_trial.geometry import Floats

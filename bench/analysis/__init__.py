@@ -1,0 +1,1 @@
+"""What readings tell: coefficients, budgets, plans, temperature, stability, history, mistakes, the diagnosis."""

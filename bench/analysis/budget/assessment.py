@@ -1,0 +1,120 @@
+"""Everything that a budget says of a bench: coefficients, measured accelerations, the check, Monte Carlo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from bench.analysis.budget.acceleration import AtMagnitude, DeltaG, delta_g, magnitudes, over_directions
+from bench.analysis.budget.coefficients import Budget, make_budget
+from bench.analysis.budget.exact import ExactResult, exact_monte_carlo
+from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.sources import Source
+
+DOMINATES: Final = 0.5
+"""A source (or all of what the block has beside K and U0) dominates with more than this part of the variance."""
+NAMED: Final = 0.01
+"""Of those that dominate together, the ones with more than this part are named."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a budget is asked for: measuring range and limit of delta g (g), decision rule, trials, voltmeters."""
+
+    range_g: float
+    limit_g: float
+    rule: str
+    trials: int = 0
+    same_voltmeters: bool = False
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """The budget with what follows from it; `exact` is None where no Monte Carlo was asked for."""
+
+    budget: Budget
+    question: Question
+    accelerations: tuple[AtMagnitude, ...]
+    points: tuple[DeltaG, ...]
+    exact: ExactResult | None
+
+    @property
+    def capable(self) -> bool | None:
+        """Whether every verification point can be passed with the coverage probability; None without points."""
+        return all(point.capable for point in self.points) if self.points else None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the numbers must know."""
+        return tuple(self._notes())
+
+    def _notes(self) -> Iterator[str]:
+        priors = [c.source.name for c in self.budget.contributions if c.source.prior and c.source.u > 0.0]
+        if priors:
+            yield (
+                f"{', '.join(priors)}: plausible sizes or makers' limits, not stated in the bench file; state "
+                "what is known in its section 'uncertainty'"
+            )
+        setup = self.budget.setup
+        temperatures = np.unique(setup.conditions.temperature_c[setup.fitted])
+        if np.sum(np.isfinite(temperatures)) > 1:
+            yield (
+                f"the procedure has {len(temperatures)} temperatures, and the coefficients are taken as the same "
+                "at all of them; for those at one temperature give a procedure without the others"
+            )
+        of_block = [c.source.name for c in self.budget.contributions if c.source.group == "block"]
+        found = [a for a in self.accelerations if sum(a.share[name] for name in of_block) > DOMINATES]
+        if found:
+            share = found[0].share
+            names = sorted((n for n in of_block if share[n] > NAMED), key=lambda n: "K3" in n)
+            part = 100.0 * sum(share[name] for name in of_block)
+            yield (
+                f"from {found[0].magnitude_g:g} g on {' and '.join(names)} dominate{'s' * (len(names) == 1)} "
+                f"({part:.0f} % of the variance of |a|): known as priors, since a calibration at 1 g shows such "
+                "terms hardly or not; a centrifuge gives them"
+            )
+        unstated = [
+            c.source.name for c in self.budget.contributions if c.source.origin.startswith("not stated")
+        ]
+        if unstated:
+            yield f"{', '.join(unstated)}: not stated in the bench file, taken as zero; nothing shows it"
+        if any(c.source.name == "gravity" and c.source.u > 0.0 for c in self.budget.contributions):
+            yield (
+                "gravity: coefficients per local g are free of it; it enters what is stated in m/s² or used "
+                "at another place"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as JSON has it; the names of bench and procedure are the caller's."""
+        question = self.question
+        return {
+            **self.budget.to_json(),
+            "acceleration": {
+                "range_g": question.range_g,
+                "same_voltmeters": question.same_voltmeters,
+                "magnitudes": [a.to_json() for a in self.accelerations],
+            },
+            "verification": {
+                "limit_g": question.limit_g,
+                "rule": question.rule,
+                "capable": self.capable,
+                "points": [point.to_json() for point in self.points],
+            },
+            "monte_carlo": None if self.exact is None else self.exact.to_json(),
+            "notes": list(self.notes),
+        }
+
+
+def assess(setup: Setup, sources: Sequence[Source], estimator: str, question: Question) -> Assessment:
+    """Return the budget of an estimator with what follows from it. Raises `CalibrationError` as its parts do."""
+    budget = make_budget(setup, sources, estimator)
+    accelerations = tuple(
+        over_directions(budget, size, same_voltmeters=question.same_voltmeters)
+        for size in magnitudes(question.range_g)
+    )
+    points = delta_g(budget, question.limit_g, question.rule)
+    exact = exact_monte_carlo(budget, question.trials) if question.trials else None
+    return Assessment(budget, question, accelerations, points, exact)

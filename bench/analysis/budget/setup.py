@@ -1,0 +1,196 @@
+"""The readings that a budget is about: where the head stands, in which installation, on which voltmeters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration.design import FIXED, Problem, make_problem
+from bench.analysis.calibration.result import CalibrationError
+from bench.files.bench.file import BenchFile
+from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel
+from bench.procedure.plan import Plan, Read, SetTemperature
+from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+STEP_RAD: Final = 1e-5
+_SAME_FORCE_G: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Readings, planned or taken, with the block and the model that they are of.
+
+    `conditions` hold n readings, the verification points among them; `meters` numbers the voltmeter of each
+    of the channels x, y, z: channels with the same number share one.
+    """
+
+    model: ForwardModel
+    conditions: Conditions
+    block: Block
+    meters: tuple[int, int, int] = (0, 1, 2)
+
+    @cached_property
+    def verification(self) -> Bools:
+        """Which readings are verification points, shape (n,)."""
+        of = np.array([mount.installation == VERIFICATION for mount in self.conditions.mounts])
+        return np.asarray(of[self.conditions.mount])
+
+    @property
+    def fitted(self) -> Bools:
+        """Which readings the estimator uses, shape (n,)."""
+        return ~self.verification
+
+    @cached_property
+    def force(self) -> Floats:
+        """Specific forces on the block at a stand without errors, g, shape (n, 3)."""
+        return self.model.specific_force(self.conditions, self._angles(None, 0.0), self.block)
+
+    @cached_property
+    def signal(self) -> Floats:
+        """The readings at a stand without errors, V, shape (n, 3)."""
+        return self.model.readings(self.block, self.conditions, self._angles(None, 0.0))
+
+    @cached_property
+    def setting_slope(self) -> Floats:
+        """du/dphi, V/rad, shape (n, 3)."""
+        angles = self._angles(None, 0.0)
+        up, down = (
+            self.model.readings(self.block, self.conditions, angles, s) for s in (STEP_RAD, -STEP_RAD)
+        )
+        slope: Floats = (up - down) / (2 * STEP_RAD)
+        return slope
+
+    def stand_slope(self, name: str) -> Floats:
+        """Return the derivatives of the readings by a stand angle of their mounting, V/rad, shape (n, 3)."""
+        up, down = (
+            self.model.readings(self.block, self.conditions, self._angles(name, step))
+            for step in (STEP_RAD, -STEP_RAD)
+        )
+        slope: Floats = (up - down) / (2 * STEP_RAD)
+        return slope
+
+    @cached_property
+    def orientation(self) -> Ints:
+        """A number for each reading, shape (n,): the same where the specific force is the same."""
+        rounded = np.round(self.force / _SAME_FORCE_G) + 0.0
+        _, numbers = np.unique(rounded, axis=0, return_inverse=True)
+        return numbers.ravel()
+
+    @cached_property
+    def effect_problem(self) -> Problem:
+        """The problem whose only unknowns beside the coefficients are the parameters of effects."""
+        return make_problem(self.model, self.conditions, {})
+
+    @cached_property
+    def effect_columns(self) -> Floats:
+        """Derivatives of the readings by the parameters of effects, V per SI, shape (n, 3, q)."""
+        problem = self.effect_problem
+        return problem.jacobian(self.block, problem.prior_mean)[:, :, FIXED:]
+
+    def _angles(self, name: str | None, size_rad: float) -> Floats:
+        angles = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
+        if name is not None:
+            angles[:, STAND_ANGLES.index(name)] = size_rad
+        return angles
+
+    def readings(self) -> Readings:
+        """Return the readings to fit as a table without noise, in the order of `conditions`."""
+        own = rows_of(self.conditions, self.fitted)
+        return make_readings(
+            [own.mounts[m].installation for m in own.mount],
+            own.pass_number.tolist(),
+            own.point.tolist(),
+            own.angle_rad,
+            self.signal[self.fitted],
+            source="the plan",
+            series=[own.mounts[m].series for m in own.mount],
+            direction=own.direction.tolist(),
+            time_s=own.time_s,
+            temperature_c=own.temperature_c,
+        )
+
+
+def rows_of(conditions: Conditions, rows: Bools) -> Conditions:
+    """Return the rows where the mask (n,) is true, with the mountings that they are of."""
+    used, mount = np.unique(conditions.mount[rows], return_inverse=True)
+    return replace(
+        conditions,
+        mounts=tuple(conditions.mounts[i] for i in used),
+        mount=mount.ravel().astype(np.int64),
+        pass_number=conditions.pass_number[rows],
+        point=conditions.point[rows],
+        angle_rad=conditions.angle_rad[rows],
+        direction=conditions.direction[rows],
+        time_s=conditions.time_s[rows],
+        temperature_c=conditions.temperature_c[rows],
+        scan_order=conditions.scan_order[rows],
+    )
+
+
+def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
+    """Return the conditions of the readings of a plan whose orientation is known, in order.
+
+    Times are those that the plan expects, a temperature is that of the chamber's last demand.
+    """
+    rows: list[tuple[Read, float, float]] = []
+    time_s, temperature_c = 0.0, float("nan")
+    for step in plan.steps:
+        time_s += plan.step_duration_s(step, line_hz)
+        if isinstance(step, SetTemperature):
+            temperature_c = step.target_c
+        elif isinstance(step, Read) and step.target_rad is not None and step.installation not in UNORIENTED:
+            rows.append((step, time_s, temperature_c))
+    if not rows:
+        raise CalibrationError(
+            f"{plan.name}: has no reading at a known angle of the head; take another procedure"
+        )
+    reads = [row[0] for row in rows]
+    return Conditions.of(
+        [read.installation for read in reads],
+        np.array([read.target_rad for read in reads], dtype=np.float64),
+        series=[read.series for read in reads],
+        pass_number=[read.pass_number for read in reads],
+        point=[read.point for read in reads],
+        direction=[read.direction or 0 for read in reads],
+        time_s=[row[1] for row in rows],
+        temperature_c=[row[2] for row in rows],
+    )
+
+
+def make_setup(
+    plan: Plan, bench: BenchFile, model: ForwardModel | None = None, block: Block | None = None
+) -> Setup:
+    """Set up the budget of a plan on a bench: about `block`, else the block that the bench file states.
+
+    Raises `CalibrationError` when the plan has an installation that the bench lacks, or no reading to fit.
+    """
+    conditions = planned_conditions(plan, bench.line_frequency)
+    chain = ForwardModel(bench.installation_models()) if model is None else model
+    strange = sorted({m.installation for m in conditions.mounts} - set(chain.installations))
+    if strange:
+        raise CalibrationError(
+            f"{plan.name}: the bench file has no installation {', '.join(strange)} "
+            f"(it has {', '.join(chain.installations)}); state it there"
+        )
+    about = bench.simulated_block() if block is None else block
+    setup = Setup(chain, conditions, about, meters_of([m.channels for m in bench.instruments.voltmeters]))
+    if not np.any(setup.fitted):
+        raise CalibrationError(
+            f"{plan.name}: has verification points only; a calibration needs installations"
+        )
+    return setup
+
+
+def meters_of(channels: Sequence[Sequence[str]]) -> tuple[int, int, int]:
+    """Return the number of the voltmeter of x, y and z, from the channels that each voltmeter carries."""
+    of = {channel: number for number, meter in enumerate(channels) for channel in meter}
+    return of["x"], of["y"], of["z"]

@@ -1,0 +1,243 @@
+"""Many units measured at the same settings, calibrated at once: the default estimator, vectorised.
+
+The steps are those of `gls.fit` for a model without effects; only the derivatives by the stand's angles are
+taken at zero angles for all units, which changes the way to the solution and not the solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration import gls, mistakes
+from bench.analysis.calibration.assumptions import require_rank
+from bench.analysis.calibration.design import FIXED, Problem, make_problem
+from bench.analysis.calibration.noise import LEAST_REPEATS, noise_sizes, repeat_groups
+from bench.analysis.calibration.result import CalibrationError, Noise
+from bench.model.block import Block
+from bench.model.conditions import Conditions
+from bench.model.forward import ForwardModel
+from bench.model.geometry import specific_force_on_platform
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CHUNK: Final = 200
+"""Units at a time: their matrices stay in the processor's cache."""
+STEPS: Final = 2
+"""Steps from least squares: the second is already below a thousandth of u."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Calibrations of many units.
+
+    `coefficients` (units, 12) and `covariance` (units, 12, 12) in the order of `COEFFICIENTS`, per local g;
+    `stand` (units, q) the estimates of the stand's angles, rad, named by `stand_names`; `reading` (units,) and
+    `setting_rad` (units,) the sizes of the noise, `dof` their degrees of freedom.
+    """
+
+    coefficients: Floats
+    covariance: Floats
+    stand: Floats
+    stand_names: tuple[str, ...]
+    reading: Floats
+    setting_rad: Floats
+    dof: float
+
+    @property
+    def u(self) -> Floats:
+        """Standard uncertainties of the coefficients, shape (units, 12)."""
+        return np.asarray(np.sqrt(np.einsum("upp->up", self.covariance)))
+
+
+def calibrate_batch(
+    signals: Floats,
+    conditions: Conditions,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    noise: Noise | None = None,
+    resolution: float = 0.0,
+) -> Batch:
+    """Estimate the coefficients of many units from `signals` (units, n, 3) at the same conditions.
+
+    `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`, rad;
+    every unit has angles of its own. The sizes of the noise are estimated for each unit from its repeats
+    unless given. Raises `CalibrationError` for a model with effects, signals that are no numbers or are alike,
+    readings that do not determine the coefficients, and too few repeats.
+    """
+    if model.effects:
+        raise CalibrationError(
+            "many units at once: a model with effects is not for this; calibrate one by one"
+        )
+    if signals.ndim != 3 or signals.shape[1:] != (len(conditions), 3):
+        raise CalibrationError(
+            f"many units at once: signals of shape (units, {len(conditions)}, 3) are expected, not {signals.shape}"
+        )
+    bad = ~np.isfinite(signals).all(axis=(1, 2)) | (np.ptp(signals, axis=1) == 0).any(axis=1)
+    if np.any(bad):
+        raise CalibrationError(
+            f"unit {int(np.argmax(bad)) + 1} of {len(signals)} has a signal that is not a number, or a channel "
+            "that never changes; leave this unit out"
+        )
+    shared = _Shared.of(make_problem(model, conditions, stand_u))
+    if noise is None and shared.freedom.sum() < LEAST_REPEATS:
+        raise CalibrationError(
+            f"many units at once: {int(shared.freedom.sum())} repeats tell too little of the noise; give its "
+            "sizes, or calibrate one by one"
+        )
+    parts = [
+        _calibrate(shared, signals[first : first + CHUNK], noise, resolution)
+        for first in range(0, len(signals), CHUNK)
+    ]
+    coefficients, covariance, stand, reading, setting = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
+    dof = noise.dof if noise is not None else 3.0 * float(shared.freedom.sum())
+    names = tuple(shared.problem.names())
+    return Batch(coefficients, covariance, stand, names, reading, setting, dof)
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """What all units share: the geometry at a stand without errors, and the groups of repeats.
+
+    `force` (n, 3), `by_angle` (n, 3) its derivative by the head's angle, `by_stand` (n, 3, q) by the stand's;
+    `means` (groups, n) makes means of repeats, `groups` (n,), `freedom` (groups,) with two readings or more.
+    """
+
+    problem: Problem
+    force: Floats
+    by_angle: Floats
+    by_stand: Floats
+    means: Floats
+    groups: Ints
+    freedom: Ints
+
+    @classmethod
+    def of(cls, problem: Problem) -> _Shared:
+        force, by_angle, columns = problem.forces(Block(np.eye(3), np.zeros(3)), problem.prior_mean)
+        require_rank(force)
+        by_stand = np.zeros((*force.shape, len(problem.stand)))
+        for j, unknown in enumerate(problem.stand):
+            own = problem.conditions.mount == unknown.mount
+            by_stand[own, :, j] = columns[unknown.column][own]
+        groups = repeat_groups(problem.conditions)
+        count = np.bincount(groups)
+        means = (groups[None, :] == np.arange(len(count))[:, None]) / count[:, None]
+        return cls(problem, force, by_angle, by_stand, means, groups, count - 1)
+
+    def forces(self, stand: Floats) -> Floats:
+        """Return the exact specific forces (units, n, 3) at stand angles (units, q)."""
+        conditions, units = self.problem.conditions, len(stand)
+        angles = np.zeros((units, len(conditions), 5))
+        for j, unknown in enumerate(self.problem.stand):
+            angles[:, conditions.mount == unknown.mount, unknown.column] += stand[:, j, None]
+        on_platform = specific_force_on_platform(
+            np.tile(conditions.angle_rad, units), angles.reshape(-1, angles.shape[2])
+        )
+        installations = self.problem.model.installations
+        turns = np.stack([installations[m.installation].block_from_platform for m in conditions.mounts])
+        rows = on_platform.reshape(units, len(conditions), 3)
+        return np.asarray(np.einsum("nij,unj->uni", turns[conditions.mount], rows))
+
+
+def _calibrate(
+    shared: _Shared, signals: Floats, noise: Noise | None, resolution: float
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    columns = np.column_stack([shared.force, np.ones(len(shared.force))])
+    start = np.einsum("pn,uni->uip", np.linalg.pinv(columns), signals)
+    K, U0 = start[:, :, :3], start[:, :, 3]
+    _refuse_singular(K)
+    prior_u = shared.problem.prior_u
+    stand = np.zeros((len(signals), len(prior_u)))
+    floor = np.maximum(gls.LEAST_NOISE * np.abs(signals).max(axis=(1, 2)), resolution / np.sqrt(12.0))
+    for _ in range(STEPS):
+        force = shared.forces(stand)
+        left = signals - force @ np.swapaxes(K, 1, 2) - U0[:, None, :]
+        slope = shared.by_angle @ np.swapaxes(K, 1, 2)
+        reading, setting = _sizes(shared, left, slope, noise, floor)
+        step, covariance = _step(shared, K, force, left, slope, reading, setting, stand)
+        K, U0 = K + step[:, :9].reshape(-1, 3, 3), U0 + step[:, 9:FIXED]
+        stand = stand + step[:, FIXED:]
+    coefficients = np.concatenate([K.reshape(-1, 9), U0], axis=1)
+    widening = _widening(shared, noise)
+    return coefficients, covariance, stand, reading / widening, setting / widening
+
+
+def _refuse_singular(K: Floats) -> None:
+    """Refuse the unit with the most singular K, if it is one that a fit to it alone refuses."""
+    length = np.linalg.norm(K, axis=2, keepdims=True)
+    size = np.linalg.svd(K / np.where(length > 0, length, 1.0), compute_uv=False)[:, -1]
+    mistakes.refuse_singular(Block(K[int(np.argmin(size))], np.zeros(3)))
+
+
+def _widening(shared: _Shared, noise: Noise | None) -> float:
+    """By how much sizes that are estimates enter larger (`Noise.widened`): alike for all units."""
+    if noise is None:
+        noise = Noise(1.0, 1.0, 3.0 * float(shared.freedom.sum()), "repeats")
+    return noise.widened().reading / noise.reading
+
+
+def _sizes(
+    shared: _Shared, left: Floats, slope: Floats, noise: Noise | None, floor: Floats
+) -> tuple[Floats, Floats]:
+    """Return the widened sizes of the noise, (units,) each, from the scatter of repeats or as given."""
+    widening = _widening(shared, noise)
+    if noise is not None:
+        given = np.full(len(left), noise.reading), np.full(len(left), noise.setting_rad)
+        return widening * given[0], widening * given[1]
+    repeated = shared.freedom > 0
+    deviation = left - (shared.means @ left)[:, shared.groups]
+    direction = shared.means @ slope
+    length = np.linalg.norm(direction, axis=2)
+    unit = direction / np.where(length > 0, length, 1.0)[:, :, None]
+    along = np.einsum("uni,uni->un", deviation, unit[:, shared.groups]) ** 2
+    total = np.einsum("uni,uni->un", deviation, deviation)
+    by_group = (shared.means > 0).astype(np.float64).T
+    along, total = along @ by_group, total @ by_group
+    across = (total - along)[:, repeated].sum(axis=1)
+    reading, setting = noise_sizes(
+        along[:, repeated], across, shared.freedom[repeated], length[:, repeated], floor
+    )
+    return widening * reading, widening * setting
+
+
+def _step(
+    shared: _Shared, K: Floats, force: Floats, left: Floats, slope: Floats, reading: Floats, setting: Floats,
+    stand: Floats,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Return the change of the unknowns (units, 12 + q) and the covariance of the coefficients (units, 12, 12).
+
+    By normal equations: R^-1 = (I - w d d^T)/sigma_u^2 with w = sigma_phi^2/(sigma_u^2 + sigma_phi^2 |d|^2).
+    """
+    units, n = left.shape[:2]
+    prior_u = shared.problem.prior_u
+    q = len(prior_u)
+    columns = np.zeros((units, n, 3, FIXED + q))
+    for channel in range(3):
+        columns[:, :, channel, 3 * channel : 3 * channel + 3] = force
+        columns[:, :, channel, 9 + channel] = 1.0
+    by_stand = shared.by_stand.transpose(1, 0, 2).reshape(3, -1) * np.tile(prior_u, n)
+    columns[:, :, :, FIXED:] = (K @ by_stand).reshape(units, 3, n, q).transpose(0, 2, 1, 3)
+    weight = setting[:, None] ** 2 / (
+        reading[:, None] ** 2 + setting[:, None] ** 2 * np.einsum("uni,uni->un", slope, slope)
+    )
+    along = (slope[:, :, None, :] @ columns)[:, :, 0] * np.sqrt(weight)[:, :, None]
+    along_left = np.einsum("uni,uni->un", slope, left) * np.sqrt(weight)
+    flat = columns.reshape(units, 3 * n, FIXED + q)
+    turned, turned_along = np.swapaxes(flat, 1, 2), np.swapaxes(along, 1, 2)
+    normal = (turned @ flat - turned_along @ along) / reading[:, None, None] ** 2
+    right = turned @ left.reshape(units, 3 * n, 1) - turned_along @ along_left[:, :, None]
+    right = right[:, :, 0] / reading[:, None] ** 2
+    places = np.arange(FIXED, FIXED + q)
+    normal[:, places, places] += 1.0
+    right[:, FIXED:] -= stand / prior_u
+    covariance = np.linalg.inv(normal)
+    step = (covariance @ right[:, :, None])[:, :, 0]
+    step[:, FIXED:] *= prior_u
+    return step, covariance[:, :FIXED, :FIXED]

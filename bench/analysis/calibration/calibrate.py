@@ -1,0 +1,264 @@
+"""From a table of readings to a calibration, by the estimator asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration import gls, mistakes, outliers
+from bench.analysis.calibration.assumptions import assumptions, require_rank
+from bench.analysis.calibration.closed_form import NOMINAL_RAD, closed_form_gain
+from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
+from bench.analysis.calibration.free import first_guess_free, triangular
+from bench.analysis.calibration.linear import least_squares_gain, linear_estimate
+from bench.analysis.calibration.result import ARCSEC, Calibration, CalibrationError, Estimate, Noise, Outlier
+from bench.model.block import Block
+from bench.model.forward import ForwardModel
+from bench.readings.table import FREE, VERIFICATION, Readings
+
+Floats = NDArray[np.float64]
+
+GLS: Final = "gls"
+CLOSED_FORM: Final = "closed-form"
+LEAST_SQUARES: Final = "least-squares"
+ROBUST: Final = "robust"
+ESTIMATORS: Final = (GLS, CLOSED_FORM, LEAST_SQUARES, ROBUST)
+WEIGH_ALL: Final = frozenset({GLS, ROBUST})
+"""Estimators that can take readings whose modulus alone is known."""
+ROUNDING: Final = 1e-9
+"""Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
+
+    oriented: Readings
+    free: Readings
+    oriented_rows: NDArray[np.int64]
+    free_rows: NDArray[np.int64]
+
+
+def calibrate(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    g_m_s2: float,
+    estimator: str = GLS,
+    noise: Noise | None = None,
+    *,
+    nominal_angles: bool = False,
+    join_free: bool = True,
+    join_verification: bool = False,
+) -> Calibration:
+    """Estimate the twelve coefficients from a table of readings.
+
+    `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`,
+    rad; the sizes of the noise are estimated from the readings unless given as `noise`. Coefficients are per
+    local g, stated as `g_m_s2`. With `nominal_angles` the targets stand in for the angles read back. Free
+    positions join the oriented rows by |a| = 1 g unless `join_free` is false, verification points where
+    `join_verification` says so, for they are the independent check. Where there are free positions alone K is
+    upper triangular by convention. Raises `CalibrationError` when the readings do not determine the
+    coefficients, or hold a mistake.
+    """
+    if estimator not in ESTIMATORS:
+        raise CalibrationError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATORS)}")
+    chosen = _choose(readings, model, estimator, join_free=join_free, join_verification=join_verification)
+    rows = chosen.oriented
+    if nominal_angles:
+        rows = mistakes.at_nominal_angles(rows)
+    conditions = rows.conditions()
+    if estimator == CLOSED_FORM:
+        gain = closed_form_gain(rows)
+        conditions = replace(conditions, angle_rad=NOMINAL_RAD[rows.point - 1])
+    problem = make_problem(model, conditions, stand_u, _free_rows(chosen, readings))
+    resolution = (rows if len(rows) else chosen.free).resolution
+    start = first_guess(problem, rows.signal, resolution)
+    refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
+    fit, found, notes = _fitted(problem, refit, estimator, chosen)
+    fit_test = gls.lack_of_fit(problem, fit)
+    weighing = estimator in WEIGH_ALL
+    if not weighing:
+        gain = gain if estimator == CLOSED_FORM else least_squares_gain(problem)
+        fit = linear_estimate(problem, rows.signal, fit, gain)
+    covariance = fit.covariance[:FIXED, :FIXED]
+    mistakes.refuse_singular(fit.block, np.sqrt(np.diag(covariance)))
+    rms = float(np.sqrt(np.mean(fit.residuals**2))) if len(rows) else float("nan")
+    return Calibration(
+        estimator=estimator,
+        unit=readings.unit,
+        g_m_s2=g_m_s2,
+        block=fit.block,
+        covariance=covariance,
+        noise=fit.noise,
+        lack_of_fit=replace(fit_test, rms=rms),
+        fitted=rows,
+        residuals=fit.residuals,
+        skipped=len(readings.skipped),
+        model=model.name,
+        stand=_stand(problem, fit) if weighing else {},
+        effects=_effects(problem, fit) if weighing else {},
+        assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
+        free=chosen.free if len(chosen.free) else None,
+        modulus_error=fit.modulus,
+        outliers=found if estimator == ROBUST else (),
+        notes=(*_notes_on_rows(readings, chosen, estimator, join_free=join_free), *notes),
+        triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
+        angles="nominal" if nominal_angles or estimator == CLOSED_FORM else "read back",
+    )
+
+
+# --- rows -------------------------------------------------------------------------------------------
+
+
+def _choose(
+    readings: Readings, model: ForwardModel, estimator: str, *, join_free: bool, join_verification: bool
+) -> Chosen:
+    if join_verification and estimator not in WEIGH_ALL:
+        raise CalibrationError(
+            f"the estimator {estimator} takes oriented readings alone; use gls or robust where verification "
+            "points are to join"
+        )
+    labels = [FREE] * join_free + [VERIFICATION] * join_verification
+    joins = np.isin(readings.installation, labels) & (estimator in WEIGH_ALL)
+    free = readings.select(joins)
+    mistakes.require_numbers(free, angles=False)
+    alone = bool(np.any(readings.installation[joins] == FREE)) and not len(readings.oriented())
+    rows = readings.oriented() if alone else usable_rows(readings, model)
+    oriented = np.flatnonzero(readings.is_oriented)
+    return Chosen(rows, free, oriented, np.flatnonzero(joins))
+
+
+def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
+    """Return the rows to fit; raises `CalibrationError` where none can be, or one is not a number."""
+    rows = readings.oriented()
+    if len(rows) == 0:
+        raise CalibrationError(
+            f"{readings.source}: no reading in an installation of known orientation; "
+            "a calibration needs installations 1 and 2, or free positions (F) all round"
+        )
+    strange = sorted(set(rows.installation.tolist()) - set(model.installations))
+    if strange:
+        raise CalibrationError(
+            f"{readings.source}: installation {', '.join(strange)} is not known (known are "
+            f"{', '.join(model.installations)}); define it in the bench file"
+        )
+    mistakes.require_numbers(rows, angles=True)
+    return rows
+
+
+def _free_rows(chosen: Chosen, readings: Readings) -> FreeRows | None:
+    """Return the free rows with times and temperatures as the whole table has them."""
+    if not len(chosen.free):
+        return None
+    whole, own = readings.conditions(), chosen.free.conditions()
+    at = chosen.free_rows
+    warmth = whole.warmth_k[at] + whole.reference_c
+    return FreeRows(chosen.free.signal, replace(own, time_s=whole.elapsed_s[at], temperature_c=warmth))
+
+
+def _notes_on_rows(readings: Readings, chosen: Chosen, estimator: str, *, join_free: bool) -> tuple[str, ...]:
+    if np.any(chosen.free.installation == VERIFICATION):
+        return ("the verification points joined the fit: they are no independent check of it",)
+    count = int(np.sum(readings.installation == FREE))
+    if not count or len(chosen.free):
+        return ()
+    why = f"the estimator {estimator} takes oriented readings alone" if join_free else "as asked"
+    return (f"{count} free positions do not take part: {why}",)
+
+
+# --- the fit ----------------------------------------------------------------------------------------
+
+
+def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Block:
+    """Ordinary least squares at the nominal geometry; an ellipsoid where there are free positions alone.
+
+    Raises `CalibrationError` for too few orientations and for mistakes that show in such a fit.
+    """
+    if problem.upper and problem.free is not None:
+        mistakes.refuse_saturated_free(problem.free.signal)
+        block = first_guess_free(problem.free.signal)
+        mistakes.refuse_singular(block)
+        return block
+    columns = mistakes.force_columns(problem)
+    solution, *_ = np.linalg.lstsq(columns, signal, rcond=None)
+    still = [axis for axis, spread in zip("xyz", np.ptp(signal, axis=0), strict=True) if spread == 0]
+    if not still:
+        mistakes.refuse_wrong_angle_unit(problem, signal, signal - columns @ solution)
+    require_rank(columns[:, :3])
+    if still:
+        raise CalibrationError(
+            f"the signal of channel {', '.join(still)} is the same in every reading; "
+            "check its cable and the supply of the block"
+        )
+    mistakes.refuse_saturated(columns, signal, resolution)
+    block = Block.from_vector(np.concatenate([solution[:3].T.ravel(), solution[3]]))
+    mistakes.refuse_singular(block)
+    return block
+
+
+def _fitted(
+    problem: Problem, refit: partial[gls.Fit], estimator: str, chosen: Chosen
+) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
+    """Fit, look for outliers, and keep what the estimator asks for: robust takes their weight away."""
+    fit = refit()
+    largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
+    if fit.noise.reading < ROUNDING * largest:
+        return fit, (), ()
+    robust = estimator == ROBUST
+    # a note on one is enough, but free positions alone have too few rows to show one beside another
+    most = outliers.most_outliers(problem) if robust or problem.upper else 1
+    without = outliers.search(problem, fit, lambda shifts: refit(shifts=shifts), most)
+    found = outliers.told(without, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
+    if robust:
+        return without, found, ()
+    notes = tuple(
+        f"an outlier is evident: {outlier.text()}; the estimator 'robust' takes its weight away"
+        for outlier in found
+    )
+    return fit, (), notes
+
+
+def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
+    if not problem.upper:
+        return assumptions(problem, block, gain[:FIXED], unit)
+    return (
+        "common rotation of the block's axes: no free position shows it; by convention K is upper triangular "
+        "(axis z is that of channel z, axis y lies in the plane of channels y and z)",
+        "sign of each channel: no free position shows it; every scale factor is given as positive",
+        "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it",
+        "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
+        "whatever is computed from them in m/s^2",
+    )
+
+
+def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
+    u = np.sqrt(np.diag(fit.covariance))[FIXED:]
+    names = problem.names()
+    return {
+        names[j]: Estimate(
+            float(fit.others[j]) / ARCSEC, float(u[j]) / ARCSEC, "arcsec", unknown.prior_u / ARCSEC
+        )
+        for j, unknown in enumerate(problem.stand)
+    }
+
+
+def _effects(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
+    u = np.sqrt(np.diag(fit.covariance))[FIXED:]
+    estimates = {}
+    for j, name in enumerate(problem.names()):
+        if j >= len(problem.stand):
+            unknown = problem.effects[j - len(problem.stand)]
+            effect = problem.model.effects[unknown.effect].effect
+            parameter = next(p for p in effect.parameters if p.name == unknown.parameter)
+            estimates[name] = Estimate(
+                float(fit.others[j]) / parameter.si_per_unit,
+                float(u[j]) / parameter.si_per_unit,
+                parameter.unit,
+            )
+    return estimates

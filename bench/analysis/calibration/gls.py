@@ -1,0 +1,373 @@
+"""Generalised least squares on all readings, the stand's errors as random effects.
+
+The setting error is common to the three channels of a point; axis tilt, zero offset and mounting error are
+common to a mounting and have the sizes that the bench file states. The exact forward model is made linear
+about the current estimate until it stands still (maximum a posteriori; for these small angles its
+covariance is that of generalised least squares).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from bench.analysis.calibration.design import FIXED, Problem
+from bench.analysis.calibration.free import Modulus, modulus_rows
+from bench.analysis.calibration.noise import (
+    LEAST_REPEATS,
+    RepeatedNoise,
+    noise_from_repeats,
+    noise_from_residuals,
+    repeat_groups,
+    scatter_of_repeats,
+    whiten,
+)
+from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
+from bench.model.block import Block
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MOST_ITERATIONS: Final = 20
+STANDS_STILL: Final = 5e-3
+"""The fit has converged when no unknown moves by more than this part of its standard uncertainty.
+
+What is left then is smaller by the curvature of the model, about 1e-5, once more.
+"""
+NEARLY_STILL: Final = 1e-2
+"""Below this part the sizes of the noise are no longer estimated anew: they would not change."""
+FAR_FROM_STILL: Final = 0.1
+"""After the last iteration a point that still moves by more is no estimate."""
+LEAST_NOISE: Final = 1e-11
+"""Least noise believed, as a part of the largest signal: keeps noise-free data solvable."""
+
+
+@dataclass(frozen=True)
+class Shift:
+    """One signal of a reading that is off by an amount of its own, which takes its weight away.
+
+    `channel` 0, 1, 2 is that of row `row` of the oriented readings, `SETTING` its setting of the head, which
+    moves all three along du/dphi; `MODULUS` is the modulus of free reading `row`.
+    """
+
+    row: int
+    channel: int
+
+
+SETTING: Final = 3
+MODULUS: Final = 4
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Estimates of all unknowns of a problem and their joint covariance (12 + q, 12 + q).
+
+    `noise` is as estimated, the covariance has it widened. `gain` (12 + q, n, 3) is the linear map from
+    oriented readings to unknowns; `misfit` the chi-square left, the priors' part included; `residuals` (n, 3)
+    in the unit of the signal, `modulus` (m,) |a| - 1 of the free readings in g; what is shifted stays in both.
+    `shift` and `u_shift` (k,) are the estimates of `shifts`, with u from the noise as it is; `system` is that
+    of the last point.
+    """
+
+    block: Block
+    others: Floats
+    covariance: Floats
+    gain: Floats
+    noise: Noise
+    misfit: float
+    residuals: Floats
+    slope: Floats
+    modulus: Floats
+    shifts: tuple[Shift, ...]
+    shift: Floats
+    u_shift: Floats
+    system: System
+
+
+def fit(
+    problem: Problem,
+    signal: Floats,
+    start: Block,
+    noise: Noise | None = None,
+    resolution: float = 0.0,
+    shifts: tuple[Shift, ...] = (),
+) -> Fit:
+    """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
+
+    Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
+    Each of `shifts` is an unknown more, of which nothing is known before. Raises `CalibrationError` where the
+    fit does not come to rest.
+    """
+    block, others = start, problem.prior_mean
+    floor = noise_floor(problem, signal, resolution)
+    groups = _groups_without(problem, shifts)
+    places = _places(problem, len(shifts), len(others))
+    moved, repeats = np.inf, RepeatedNoise(floor, groups)
+    for _ in range(MOST_ITERATIONS):
+        system = linearise(problem, signal, block, others, shifts)
+        if noise is not None:
+            sizes = noise
+        elif moved > NEARLY_STILL:
+            sizes = repeats.sizes(system.left, system.slope) or estimate_noise(
+                problem, system.left, system.jacobian, system.slope, groups, others, floor, system.free
+            )
+        found, covariance, gain = solve(
+            problem, system.jacobian, system.left, system.slope, sizes.widened(), others, system.free
+        )
+        step = np.zeros(FIXED + len(others))
+        step[places.unknowns] = found[places.own]
+        block = Block.from_vector(block.vector + step[:FIXED])
+        others = others + step[FIXED:]
+        # a shift enters no derivative, so it has no part in whether the point stands still
+        moved = float(np.max(np.abs(found[places.own]) / np.sqrt(np.diag(covariance)[places.own])))
+        if moved <= STANDS_STILL:
+            break
+    else:
+        if not moved < FAR_FROM_STILL:
+            raise CalibrationError(
+                "the fit does not come to rest: readings and model are too far apart for it; look for rows of "
+                "another installation, another block or another unit"
+            )
+    return _result(problem, system, block, others, sizes, places, found, covariance, gain, shifts)
+
+
+@dataclass(frozen=True)
+class System:
+    """The linear system of one step: unknowns are the active coefficients, the shifts, then the others.
+
+    `left` (n, 3) measured minus predicted; `jacobian` (n, 3, p); `slope` (n, 3); `free` the rows of moduli.
+    """
+
+    left: Floats
+    jacobian: Floats
+    slope: Floats
+    free: Modulus
+
+
+def linearise(
+    problem: Problem, signal: Floats, block: Block, others: Floats, shifts: tuple[Shift, ...] = ()
+) -> System:
+    """Return the linear system about a point."""
+    linear = problem.linear(block, others)
+    free = modulus_rows(problem, block, others)
+    jacobian, by_free = linear.jacobian, free.jacobian
+    if problem.upper:
+        kept = np.concatenate([problem.active, np.arange(FIXED, FIXED + len(others))])
+        jacobian, by_free = jacobian[:, :, kept], by_free[:, kept]
+    if shifts:
+        at = len(problem.active)
+        own, own_free = np.zeros((*signal.shape, len(shifts))), np.zeros((len(by_free), len(shifts)))
+        for j, shift in enumerate(shifts):
+            if shift.channel == MODULUS:
+                own_free[shift.row, j] = 1.0
+            elif shift.channel == SETTING:
+                own[shift.row, :, j] = linear.slope[shift.row]
+            else:
+                own[shift.row, shift.channel, j] = 1.0
+        jacobian = np.concatenate([jacobian[:, :, :at], own, jacobian[:, :, at:]], axis=2)
+        by_free = np.concatenate([by_free[:, :at], own_free, by_free[:, at:]], axis=1)
+    return System(signal - linear.predicted, jacobian, linear.slope, replace(free, jacobian=by_free))
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where the unknowns of a step stand: `unknowns` among all 12 + q, `own` and `shifts` in the step."""
+
+    unknowns: Ints
+    own: Ints
+    shifts: Ints
+
+
+def _places(problem: Problem, shifts: int, others: int) -> _Places:
+    active = len(problem.active)
+    own = np.concatenate([np.arange(active), np.arange(active + shifts, active + shifts + others)])
+    unknowns = np.concatenate([problem.active, np.arange(FIXED, FIXED + others)])
+    return _Places(unknowns, own, np.arange(active, active + shifts))
+
+
+def noise_floor(problem: Problem, signal: Floats, resolution: float) -> float:
+    """Return the least noise that is believed, in the unit of the signal."""
+    largest = float(np.max(np.abs(signal), initial=0.0))
+    if problem.free is not None:
+        largest = max(largest, float(np.max(np.abs(problem.free.signal), initial=0.0)))
+    return float(max(LEAST_NOISE * largest, resolution / np.sqrt(12.0)))
+
+
+def _groups_without(problem: Problem, shifts: tuple[Shift, ...]) -> Ints:
+    """Number the groups of repeats; a reading with a shift stands alone and tells nothing of the scatter."""
+    if not len(problem.conditions):
+        return np.zeros(0, dtype=np.int64)
+    groups = repeat_groups(problem.conditions)
+    rows = sorted({shift.row for shift in shifts if shift.channel != MODULUS})
+    if rows:
+        groups[rows] = len(groups) + np.arange(len(rows))
+        groups = np.unique(groups, return_inverse=True)[1]
+    return groups
+
+
+def _result(
+    problem: Problem, system: System, block: Block, others: Floats, sizes: Noise, places: _Places,
+    found: Floats, covariance: Floats, gain: Floats, shifts: tuple[Shift, ...],
+) -> Fit:  # fmt: skip
+    """Make the fit out of its last step, which was so small that what it leaves is linear in it.
+
+    The misfit leaves out what is shifted.
+    """
+    free = system.free
+    own = system.jacobian[:, :, places.own] @ found[places.own]
+    own_free = free.jacobian[:, places.own] @ found[places.own]
+    system = replace(system, left=system.left - own, free=replace(free, left=free.left - own_free))
+    n = len(system.left)
+    shift = found[places.shifts]
+    kept = system.left - system.jacobian[:, :, places.shifts] @ shift
+    kept_free = system.free.left - system.free.jacobian[:, places.shifts] @ shift
+    whitened = whiten(kept[:, :, None], system.slope, sizes)
+    pulls = (others - problem.prior_mean) / problem.prior_u
+    misfit = np.sum(whitened**2) + np.sum(pulls**2)
+    misfit += np.sum((kept_free / (system.free.weight * sizes.reading)) ** 2)
+    whole, whole_gain = np.zeros((FIXED + len(others),) * 2), np.zeros((FIXED + len(others), n, 3))
+    whole[np.ix_(places.unknowns, places.unknowns)] = covariance[np.ix_(places.own, places.own)]
+    whole_gain[places.unknowns] = gain[places.own]
+    as_it_is = sizes.reading / sizes.widened().reading
+    u_shift = as_it_is * np.sqrt(np.diag(covariance)[places.shifts])
+    return Fit(
+        block, others, whole, whole_gain, sizes, float(misfit), system.left, system.slope,
+        -system.free.left, shifts, shift, u_shift, system,
+    )  # fmt: skip
+
+
+class Priors(Protocol):
+    """What is known of the unknowns after the coefficients before the data: means and standard deviations."""
+
+    @property
+    def prior_mean(self) -> Floats:
+        """Means, shape (q,)."""
+        ...
+
+    @property
+    def prior_u(self) -> Floats:
+        """Standard deviations, shape (q,)."""
+        ...
+
+
+def estimate_noise(
+    problem: Priors,
+    left: Floats,
+    jacobian: Floats,
+    slope: Floats,
+    groups: NDArray[np.int64],
+    others: Floats,
+    floor: float,
+    free: Modulus | None = None,
+) -> Noise:
+    """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals.
+
+    `left` (n, 3) is measured minus predicted, `jacobian` (n, 3, p) has the unknowns with a prior last; `free`
+    are rows of moduli, if any.
+    """
+    if len(left):
+        scatter = scatter_of_repeats(left, slope, groups)
+        if scatter.settings >= LEAST_REPEATS:
+            return noise_from_repeats(scatter, floor)
+    # the likelihood has the random effects about their prior means, so their estimates are not taken off
+    fixed = jacobian.shape[2] - len(others)
+    whole = left + jacobian[:, :, fixed:] @ (others - problem.prior_mean)
+    scaled = jacobian.copy()
+    scaled[:, :, fixed:] *= problem.prior_u
+    if free is None or not len(free.left):
+        return noise_from_residuals(whole, scaled, slope, fixed, floor)
+    own = np.column_stack(
+        [free.jacobian, free.left + free.jacobian[:, fixed:] @ (others - problem.prior_mean)]
+    )
+    own[:, fixed:-1] *= problem.prior_u
+    return noise_from_residuals(whole, scaled, slope, fixed, floor, own / free.weight[:, None])
+
+
+def solve(
+    problem: Priors,
+    jacobian: Floats,
+    left: Floats,
+    slope: Floats,
+    noise: Noise,
+    others: Floats,
+    free: Modulus | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """One step: the change of the unknowns, their covariance, and the gain from readings to unknowns."""
+    n, _, p = jacobian.shape
+    rows, target, scale = whitened_rows(problem, jacobian, left, slope, noise, others, free)
+    q, r = np.linalg.qr(rows)
+    inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
+    covariance = inverse @ inverse.T
+    step = inverse @ (q.T @ target)
+    # R^(-1/2) is symmetric, so the gain from raw readings is the whitened gain, whitened once more
+    whitened_gain = (inverse @ q[: 3 * n].T).reshape(p, n, 3)
+    gain = np.moveaxis(whiten(np.moveaxis(whitened_gain, 0, 2), slope, noise), 2, 0)
+    return step, covariance, gain
+
+
+def whitened_rows(
+    problem: Priors,
+    jacobian: Floats,
+    left: Floats,
+    slope: Floats,
+    noise: Noise,
+    others: Floats,
+    free: Modulus | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Return rows (3n + m + q, p), target and scale (p,) of a step: signals, moduli, priors, each of unit noise.
+
+    Column j is that of unknown j over its scale.
+    """
+    n, _, p = jacobian.shape
+    prior_u, prior_mean = problem.prior_u, problem.prior_mean
+    fixed = p - len(prior_u)
+    scale = np.concatenate([np.ones(fixed), prior_u])
+    prior_rows = np.zeros((p - fixed, p))
+    prior_rows[:, fixed:] = np.eye(p - fixed)
+    both = whiten(np.concatenate([jacobian, left[:, :, None]], axis=2), slope, noise).reshape(3 * n, p + 1)
+    blocks, targets = [both[:, :p] * scale], [both[:, p]]
+    if free is not None and len(free.left):
+        size = noise.reading * free.weight
+        blocks.append(free.jacobian * scale / size[:, None])
+        targets.append(free.left / size)
+    blocks.append(prior_rows)
+    targets.append((prior_mean - others) / prior_u)
+    return np.vstack(blocks), np.concatenate(targets), scale
+
+
+def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
+    """Compare what the model leaves with the scatter of repeats (F test), or with noise that was given."""
+    # a stated prior adds as much to the misfit as its unknown takes away; a weak one adds nothing
+    unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
+    unknowns -= len(result.modulus)
+    groups = _groups_without(problem, result.shifts)
+    return misfit_test(result.misfit, result.residuals, result.slope, result.noise, groups, unknowns)
+
+
+def misfit_test(
+    misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: NDArray[np.int64], unknowns: int
+) -> LackOfFit:
+    """Judge the chi-square that a fit leaves; `unknowns` counts those without a prior of their own.
+
+    `residuals`, `slope` (n, 3) and `groups` (n,) of repeats as in `scatter_of_repeats`.
+    """
+    rms = float(np.sqrt(np.mean(residuals**2))) if residuals.size else float("nan")
+    dof = residuals.size - unknowns
+    if np.isinf(noise.dof):
+        return LackOfFit(rms, misfit, dof, float(special.chdtrc(dof, misfit)))
+    if not residuals.size:
+        return LackOfFit(rms, float("nan"), max(dof, 0), float("nan"))
+    scatter = scatter_of_repeats(residuals, slope, groups)
+    dof -= 3 * scatter.settings
+    if noise.source != "repeats" or dof <= 0:
+        return LackOfFit(rms, float("nan"), max(dof, 0), float("nan"))
+    variance = noise.reading**2
+    along = variance + (noise.setting_rad * scatter.slope) ** 2
+    pure_error = float(np.sum(scatter.across) / variance + np.sum(scatter.along / along))
+    chi2 = max(misfit - pure_error, 0.0)
+    # the scatter over its own freedom is 1 by construction: the noise was estimated from it
+    return LackOfFit(rms, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))

@@ -1,0 +1,49 @@
+"""Estimators that are a fixed weighting of the readings: the paper's (8), and ordinary least squares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration import gls
+from bench.analysis.calibration.design import FIXED, Problem, coefficient_columns
+from bench.model.block import Block
+
+Floats = NDArray[np.float64]
+
+
+def least_squares_gain(problem: Problem) -> Floats:
+    """Return the map (12, n, 3) of ordinary least squares at stand angles of zero, every reading alike."""
+    still = problem.stand_matrix(np.zeros(0))
+    unit = Block(np.eye(3), np.zeros(3))
+    plain = replace(problem.model, effects=())
+    columns = coefficient_columns(plain.specific_force(problem.conditions, still, unit))
+    inverse = np.linalg.pinv(columns.reshape(-1, FIXED))
+    return np.asarray(inverse, dtype=np.float64).reshape(FIXED, len(columns), 3)
+
+
+def linear_estimate(problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats) -> gls.Fit:
+    """Return the estimate by a gain (12, n, 3), with the covariance that the errors of the bench give to it.
+
+    `fit` is that of generalised least squares on the same readings: it has the noise, and the point at which
+    effects of the model are taken off at their stated values. The misfit stays that of `fit`: a fixed
+    weighting leaves the stand's angles in its residuals, where they would pass for a lack of fit of the model.
+    """
+    others = problem.prior_mean
+    taken_off = np.zeros_like(signal)
+    if problem.effects:
+        plain = replace(problem, model=replace(problem.model, effects=()), effects=())
+        still = others[: len(problem.stand)]
+        taken_off = problem.predict(fit.block, others) - plain.predict(fit.block, still)
+    block = Block.from_vector(np.einsum("pni,ni->p", gain, signal - taken_off))
+    noise, slope = fit.noise.widened(), fit.slope
+    # G R G^T from R = sigma_u^2 I + sigma_phi^2 d d^T of each reading, then the stand's angles
+    along = np.einsum("pni,ni->pn", gain, slope) * noise.setting_rad
+    flat = gain.reshape(FIXED, -1) * noise.reading
+    columns = problem.jacobian(block, others)[:, :, FIXED:] * problem.prior_u
+    fixed = np.einsum("pni,niq->pq", gain, columns)
+    covariance = flat @ flat.T + along @ along.T + fixed @ fixed.T
+    residuals = signal - problem.predict(block, others)
+    return replace(fit, block=block, others=others, covariance=covariance, gain=gain, residuals=residuals)

@@ -1,0 +1,39 @@
+"""Whether a calibration looks like the block that was announced: signs and sizes of the scale factors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.calibration.result import Calibration
+
+FARTHEST: Final = 0.2
+"""A scale factor further from its nominal value than this part of it is no tolerance of manufacture."""
+
+
+def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...]:
+    """Return a sentence for each scale factor that contradicts its nominal value (x, y, z; V/g, with sign).
+
+    Signals in another unit than volts are not compared; free positions alone do not show a sign.
+    """
+    if result.unit != "V":
+        return ()
+    sentences = []
+    for i, (axis, announced) in enumerate(zip("xyz", nominal, strict=True)):
+        found = float(result.block.K[i, i])
+        row = np.abs(result.block.K[i])
+        told = (
+            f"channel {axis}: scale factor {found:.4g} V/g, but the bench file announces {announced:.4g} V/g"
+        )
+        if int(np.argmax(row)) != i:
+            told += f"; it answers most to {'xyz'[int(np.argmax(row))]}: are two channels or installations swapped?"
+        elif found * announced < 0 and result.triangular is None:
+            told += "; is the pair of wires reversed?"
+        elif abs(abs(found / announced) - 1) <= FARTHEST:
+            continue
+        else:
+            told += "; is it the block that the bench file names?"
+        sentences.append(told)
+    return tuple(sentences)

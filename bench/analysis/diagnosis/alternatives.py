@@ -1,0 +1,86 @@
+"""What else it could have been: every family's evidence beside the one that was named, and what it would change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration.design import FIXED
+from bench.analysis.diagnosis.evidence import Search, Whitened
+from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.analysis.diagnosis.posterior import posterior
+from bench.analysis.diagnosis.repeats import noise_of_repeats
+from bench.analysis.diagnosis.result import Diagnosis
+from bench.model.block import COEFFICIENTS
+
+Floats = NDArray[np.float64]
+
+LISTED: Final = 8
+"""Families that a ranking shows, the most plausible first."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A family beside what else was found: ln odds that it is there, whether the data can tell it from the named.
+
+    `shift` (12,) is by how much the coefficients would differ were it this one, in units of their u.
+    """
+
+    family: str
+    evidence: float
+    tied: bool
+    shift: Floats
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the evidence and the coefficient that would change most."""
+        worst = int(np.argmax(np.abs(self.shift)))
+        return {
+            "name": self.family,
+            "ln_odds": float(self.evidence),
+            "tied": self.tied,
+            "largest_shift": {"coefficient": COEFFICIENTS[worst], "in_u": float(self.shift[worst])},
+        }
+
+
+def rivals(diagnosis: Diagnosis, setting_rad: float) -> tuple[tuple[Rival, ...], ...]:
+    """Return for each effect that was found the most plausible families in its place, itself among them.
+
+    `setting_rad` is the setting error that the bench file states. All that is tied is among them.
+    """
+    naming = diagnosis.naming
+    if not naming.found:
+        return ()
+    linear, candidates = diagnosis.linear, diagnosis.candidates
+    repeats = noise_of_repeats(linear, linear.readings.resolution)
+    whitened = Whitened.of(make_noise_grid(linear, repeats.sigma, setting_rad), candidates)
+    data = whitened.reduce(linear.response[:, None])
+    u = np.sqrt(np.diag(diagnosis.fitted.covariance))[:FIXED]
+    # with the same wide prior as each rival, or the priors would pass for a difference
+    found = posterior(linear, candidates.columns[:, list(naming.columns)], diagnosis.noise)
+    coefficients = found.mean[:FIXED]
+    told = []
+    for one in naming.found:
+        others = [i for f in naming.found if f is not one for i in f.variant.columns]
+        scores = Search.beside(whitened, others).score(data)
+        families = scores.families(candidates)[:, 0]
+        evidence = dict(zip(candidates.families, families, strict=True))
+        ranked = sorted(evidence, key=lambda family: -evidence[family])
+        alike = {one.variant.family, *one.ties, *one.plainer_than}
+        shown = [family for i, family in enumerate(ranked) if i < LISTED or family in alike]
+        rows = []
+        for family in shown:
+            best = max(
+                (i for i, v in enumerate(candidates.variants) if v.family == family),
+                key=lambda i: float(scores.variants[i, 0]),
+            )
+            variant = one.variant if family == one.variant.family else candidates.variants[best]
+            columns = candidates.columns[:, [*others, *variant.columns]]
+            fitted = posterior(linear, columns, diagnosis.noise).mean[:FIXED]
+            rows.append(
+                Rival(family, float(evidence[family]), family in one.ties, (fitted - coefficients) / u)
+            )
+        told.append(tuple(rows))
+    return tuple(told)

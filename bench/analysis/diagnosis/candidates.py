@@ -1,0 +1,345 @@
+"""What might be missing: every effect of the catalogue in every form that it can have in these readings.
+
+A family is an effect by its name; its variants are the channels, mountings and shapes that it may have.
+Beside the catalogue stand unnamed families, which describe what nothing in the catalogue explains.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.diagnosis.linear import MODULUS, Linear
+from bench.model import CATALOGUE, CHANNELS, AppliedEffect, Effect, Parameter
+from bench.readings.table import VERIFICATION
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SUBSETS: Final = tuple(
+    subset for size in (1, 2, 3) for subset in itertools.combinations(range(3), size)
+)  # fmt: skip
+"""All sets of channels, one, two and three."""
+
+ROUND: Final = ("cosine", "sine")
+LEADS: Final = (ROUND, "across_")
+"""Parameters that belong together, amplitude and phase of one wave: with the same lead of their names."""
+
+STEP_AFTER: Final = "step"
+SINGLE_READING: Final = "single_reading"
+SINGLE_SETTING: Final = "single_setting"
+FREE_BY_ANGLE: Final = "free_by_angle"
+FREE_BY_PASS: Final = "free_by_pass"
+SLOW_IN_TIME: Final = "slow_in_time"
+HEAD_ANGLE: Final = "free_head_angle"
+UNNAMED: Final = (
+    FREE_BY_ANGLE, FREE_BY_PASS, HEAD_ANGLE, SLOW_IN_TIME, STEP_AFTER, SINGLE_READING, SINGLE_SETTING,
+)  # fmt: skip
+"""Families that no physics stands behind."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One number that is to be estimated: a parameter of an effect, of a channel, at mountings (all if none)."""
+
+    parameter: str
+    channel: int | None
+    mounts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One form of a family: which columns of `Candidates.columns` it has, and what they stand for.
+
+    `shape` holds the values of shape parameters, SI.
+    """
+
+    family: str
+    columns: tuple[int, ...]
+    channels: tuple[int, ...]
+    mounts: tuple[str, ...] = ()
+    shape: tuple[tuple[str, float], ...] = ()
+    where: str = ""
+
+    @property
+    def named(self) -> bool:
+        """Whether it is an effect of the catalogue."""
+        return self.family in CATALOGUE
+
+
+@dataclass
+class Candidates:
+    """All variants, and their columns (N, P) for one prior standard deviation of each.
+
+    `kinds` says of each column what it stands for, `scale` what its unit is worth in SI (1 where unnamed).
+    `by_family` orders the variants by family, each of which begins at its `family_starts`.
+    """
+
+    columns: Floats
+    kinds: tuple[Column, ...]
+    scale: Floats
+    variants: tuple[Variant, ...]
+    families: tuple[str, ...] = field(init=False)
+    by_family: Ints = field(init=False)
+    family_starts: Ints = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Collect the names of the families in order, and where their variants are."""
+        self.families = tuple(dict.fromkeys(v.family for v in self.variants))
+        place = {name: i for i, name in enumerate(self.families)}
+        member = np.array([place[v.family] for v in self.variants])
+        self.by_family = np.argsort(member, kind="stable")
+        self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
+
+
+class _Collector:
+    def __init__(self, linear: Linear) -> None:
+        self.linear = linear
+        self.columns: list[Floats] = []
+        self.kinds: list[Column] = []
+        self.scale: list[float] = []
+        self.variants: list[Variant] = []
+
+    def add(self, column: Floats, kind: Column, scale: float) -> int:
+        self.columns.append(column)
+        self.kinds.append(kind)
+        self.scale.append(scale)
+        return len(self.columns) - 1
+
+
+def make_candidates(linear: Linear, unit_noise: float) -> Candidates:
+    """Collect all that might be missing in these readings.
+
+    `unit_noise` is the size of the noise of a reading, unit of the signal: what is unnamed has no other scale.
+    """
+    collector = _Collector(linear)
+    for effect in CATALOGUE.values():
+        if linear.readings.unit == "V" or not in_volts(effect):
+            _add_effect(collector, effect)
+    collector.variants = [v for v in collector.variants if not _in_model(v, linear.model.effects)]
+    _add_unnamed(collector, unit_noise)
+    return Candidates(
+        np.stack(collector.columns, axis=1),
+        tuple(collector.kinds),
+        np.array(collector.scale),
+        tuple(collector.variants),
+    )
+
+
+def in_volts(effect: Effect) -> bool:
+    """Whether it is so many microvolts large: signals in counts or g are not voltages, and it has no size there."""
+    return any("V" in parameter.unit for parameter in effect.parameters)
+
+
+def _in_model(variant: Variant, effects: Sequence[AppliedEffect]) -> bool:
+    """Return whether the model has this effect already, in one of these channels and mountings."""
+    for applied in effects:
+        if applied.effect.name == variant.family:
+            per_channel = any(p.per_channel for p in applied.effect.parameters)
+            channels = not per_channel or any(CHANNELS[c] in applied.channels for c in variant.channels)
+            everywhere = not variant.mounts or not applied.installations
+            if channels and (everywhere or set(variant.mounts) & set(applied.installations)):
+                return True
+    return False
+
+
+# --- effects of the catalogue -----------------------------------------------------------------------
+
+
+def _add_effect(collector: _Collector, effect: Effect) -> None:
+    linear_ones = [p for p in effect.parameters if not p.grid]
+    shapes = [p for p in effect.parameters if p.grid]
+    grids = [[(p.name, value) for value in p.grid] for p in shapes]
+    for shape in itertools.product(*grids):
+        for mounts in _mount_sets(collector.linear, effect):
+            _add_form(collector, effect, linear_ones, shape, mounts)
+
+
+def _mount_sets(linear: Linear, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
+    """Yield sets of groups of mountings: each group has parameters of its own; () is everywhere."""
+    if not effect.per_mount:
+        yield ((),)
+        return
+    labels = [str(m) for m in linear.moved.mounts if m.installation != VERIFICATION]
+    if effect.lasts:
+        yield from (((label,),) for label in labels[1:])
+        return
+    yield from (((label,),) for label in labels)
+    if len(labels) > 1:
+        yield (tuple(labels),)
+        yield tuple((label,) for label in labels)
+
+
+def _add_form(
+    collector: _Collector,
+    effect: Effect,
+    parameters: list[Parameter],
+    shape: tuple[tuple[str, float], ...],
+    mount_groups: tuple[tuple[str, ...], ...],
+) -> None:
+    index: dict[tuple[str, int | None], list[int]] = {}
+    for mounts in mount_groups:
+        for parameter in parameters:
+            for channel, column in _parameter_columns(collector.linear, effect, parameter, shape, mounts):
+                if np.any(column):
+                    place = collector.add(
+                        column, Column(parameter.name, channel, mounts), parameter.plausible
+                    )
+                    index.setdefault((parameter.name, channel), []).append(place)
+    mounts = tuple(label for group in mount_groups for label in group)
+    for names in _parameter_sets(parameters):
+        per_channel = any(p.per_channel for p in parameters if p.name in names)
+        for channels in SUBSETS if per_channel else ((0, 1, 2),):
+            keys = [(n, c) for n in names for c in (*channels, None)]
+            columns = tuple(i for key in keys for i in index.get(key, []))
+            if columns and (not per_channel or all(any((n, c) in index for n in names) for c in channels)):
+                collector.variants.append(Variant(effect.name, columns, channels, mounts, shape))
+
+
+def _parameter_sets(parameters: list[Parameter]) -> Iterator[tuple[str, ...]]:
+    """Yield sets of parameters that may be there without the others."""
+    names = tuple(p.name for p in parameters)
+    waves = [tuple(n for n in names if n.endswith(ROUND) and n.startswith(lead)) for lead in LEADS]
+    if set(names) == {n for wave in waves for n in wave}:
+        yield from (wave for wave in waves if wave and wave != names)
+    elif 1 < len(names) <= MOST_APART:
+        yield from ((name,) for name in names)
+    yield names
+
+
+MOST_APART: Final = 3
+"""An effect with more parameters than this has them all or none."""
+
+
+def _parameter_columns(
+    linear: Linear,
+    effect: Effect,
+    parameter: Parameter,
+    shape: tuple[tuple[str, float], ...],
+    mounts: tuple[str, ...],
+) -> list[tuple[int | None, Floats]]:
+    values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
+    size = parameter.plausible
+    values[parameter.name] = np.full(3, size) if parameter.per_channel else np.asarray(size)
+    applied = AppliedEffect(effect, values, installations=mounts)
+    if not parameter.per_channel:
+        return [(None, linear.effect_column(applied))]
+    return list(enumerate(linear.effect_columns(applied).T))
+
+
+# --- families without a name ------------------------------------------------------------------------
+
+
+def _add_unnamed(collector: _Collector, unit: float) -> None:
+    linear = collector.linear
+    rows, readings = linear.rows, linear.readings
+    oriented = linear.setting >= 0
+    # not modulo a turn: a scale may come back to another angle than the head
+    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
+    mount = _mount_of(linear)
+    pass_number = readings.pass_number[rows.reading]
+    for channel in range(3):
+        mine = oriented & (rows.channel == channel)
+        _groups(collector, FREE_BY_ANGLE, channel, mine, list(zip(mount, angle, strict=True)), unit)
+        _groups(collector, FREE_BY_PASS, channel, mine, list(zip(mount, pass_number, strict=True)), unit)
+        _slow(collector, channel, mine, unit)
+    _head_angle(collector, angle, oriented, unit)
+    steps = _steps(collector, oriented, unit)
+    singles = [
+        _point(collector, SINGLE_READING, i, unit) for i in np.flatnonzero(rows.channel != MODULUS).tolist()
+    ]
+    settings = _settings(collector, unit)
+    for group in (steps, singles, settings):
+        collector.variants += group
+
+
+def _mount_of(linear: Linear) -> Floats:
+    series = linear.readings.series[linear.rows.reading]
+    label = linear.readings.installation[linear.rows.reading]
+    _, number = np.unique([f"{s}/{i}" for s, i in zip(series, label, strict=True)], return_inverse=True)
+    return np.asarray(number, dtype=np.float64)
+
+
+def _groups(
+    collector: _Collector,
+    family: str,
+    channel: int,
+    mine: NDArray[np.bool_],
+    keys: Sequence[object],
+    unit: float,
+) -> None:
+    places = []
+    for key in dict.fromkeys(k for k, own in zip(keys, mine, strict=True) if own):
+        column = np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
+        places.append(collector.add(unit * column, Column(str(key), channel), 1.0))
+    if len(places) > 1:
+        collector.variants.append(Variant(family, tuple(places), (channel,)))
+
+
+def _head_angle(
+    collector: _Collector, angle: NDArray[np.int64], oriented: NDArray[np.bool_], unit: float
+) -> None:
+    linear = collector.linear
+    steepest = float(np.sqrt(np.sum(linear.slope**2) / max(int(linear.setting.max()) + 1, 1)))
+    places = []
+    for mark in dict.fromkeys(angle[oriented].tolist()):
+        column = np.where(oriented & (angle == mark), linear.slope / steepest, 0.0)
+        places.append(collector.add(unit * column, Column(f"{5 * mark} deg", None), 1.0))
+    if len(places) > 1:
+        collector.variants.append(Variant(HEAD_ANGLE, tuple(places), (0, 1, 2)))
+
+
+WAVES: Final = 6
+"""Half waves over a run by which something slow in time is described."""
+
+
+def _slow(collector: _Collector, channel: int, mine: NDArray[np.bool_], unit: float) -> None:
+    order = collector.linear.rows.reading.astype(np.float64)
+    time = collector.linear.readings.time_s[collector.linear.rows.reading]
+    t = time if np.all(np.isfinite(time)) and np.ptp(time) > 0 else order
+    phase = (t - t.min()) / max(float(np.ptp(t)), 1e-300)
+    places = [
+        collector.add(unit * mine * np.cos(np.pi * k * phase), Column(f"half waves {k}", channel), 1.0)
+        for k in range(1, WAVES + 1)
+    ]
+    collector.variants.append(Variant(SLOW_IN_TIME, tuple(places), (channel,)))
+
+
+def _steps(collector: _Collector, oriented: NDArray[np.bool_], unit: float) -> list[Variant]:
+    rows = collector.linear.rows
+    variants = []
+    last = int(rows.reading[oriented].max())
+    for channel in range(3):
+        mine = rows.channel == channel
+        for at in sorted(set(rows.reading[oriented].tolist())):
+            if 0 < at < last:
+                place = collector.add(unit * (mine & (rows.reading >= at)), Column("from", channel), 1.0)
+                variants.append(Variant(STEP_AFTER, (place,), (channel,), where=f"from reading {at + 1} on"))
+    return variants
+
+
+def _point(collector: _Collector, family: str, row: int, unit: float) -> Variant:
+    linear = collector.linear
+    column = np.zeros(len(linear))
+    column[row] = unit
+    channel = int(linear.rows.channel[row])
+    place = collector.add(column, Column("at", channel), 1.0)
+    return Variant(family, (place,), (channel,), where=f"reading {linear.rows.reading[row] + 1}")
+
+
+def _settings(collector: _Collector, unit: float) -> list[Variant]:
+    linear = collector.linear
+    variants = []
+    for number in range(int(linear.setting.max()) + 1):
+        column = np.where(linear.setting == number, linear.slope, 0.0)
+        length = float(np.linalg.norm(column))
+        if length > 0.0:
+            place = collector.add(unit * column / length, Column("angle", None), 1.0)
+            reading = int(linear.rows.reading[linear.setting == number][0])
+            variants.append(Variant(SINGLE_SETTING, (place,), (0, 1, 2), where=f"reading {reading + 1}"))
+    return variants

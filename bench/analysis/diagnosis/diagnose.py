@@ -1,0 +1,231 @@
+"""Find where readings and model disagree, name what is missing, and measure how far naming it closes the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from bench.analysis.diagnosis.candidates import (
+    FREE_BY_ANGLE,
+    FREE_BY_PASS,
+    Candidates,
+    Variant,
+    in_volts,
+    make_candidates,
+)
+from bench.analysis.diagnosis.evidence import Data, Search, Whitened
+from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
+from bench.analysis.diagnosis.known_together import known_together
+from bench.analysis.diagnosis.linear import make_linear
+from bench.analysis.diagnosis.naming import Naming, name
+from bench.analysis.diagnosis.noise_grid import RATIOS, make_noise_grid
+from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
+from bench.analysis.diagnosis.registration import register
+from bench.analysis.diagnosis.repeats import noise_of_repeats
+from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, NamedEffect, Verdict, channels_of
+from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
+from bench.analysis.diagnosis.visibility import detectable, hidden
+from bench.analysis.diagnosis.where import find_places
+from bench.analysis.mistakes.search import find_mistakes
+from bench.model import CATALOGUE, CHANNELS, AppliedEffect, ForwardModel
+from bench.model.conditions import REMOUNT_S, SETTING_S
+from bench.readings.table import Readings
+
+Floats = NDArray[np.float64]
+
+UNEXPLAINED: Final = 1e-3
+"""Chance that the repeats alone explain what the named effects leave, below which something is left over."""
+
+
+def diagnose(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    nominal_scale_factors: Floats | None = None,
+    cache: ThresholdCache | None = None,
+) -> Diagnosis:
+    """Diagnose one table of readings against a model.
+
+    `stand_u` holds standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad;
+    `nominal_scale_factors` (3,) with sign come from the data sheet of the block (unit/g) and tell swapped or
+    reversed channels. The record is never changed: a mistake is corrected in a copy. Raises
+    `CalibrationError` where the readings do not determine the coefficients.
+    """
+    stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
+    setting_rad = stand_u.get("setting_error", 0.0)
+    mistakes = find_mistakes(readings, model, stand, nominal_scale_factors)
+    linear = make_linear(mistakes.corrected, model, stand)
+    repeats = noise_of_repeats(linear, readings.resolution)
+    grid = make_noise_grid(linear, repeats.sigma, setting_rad)
+    candidates = make_candidates(linear, repeats.sigma)
+    whitened = Whitened.of(grid, candidates)
+    limit = (cache or ThresholdCache(None)).threshold(linear, whitened, setting_rad)
+    registered = register(linear, limit)
+
+    data = whitened.reduce(linear.response[:, None])
+    naming = name(whitened, data, limit)
+    noise = noise_size(whitened, data, naming.columns)
+    fitted = fit_found(linear, candidates, naming, noise)
+    p_left = _p_left(whitened, data, naming)
+    ratio = RATIOS.index(near_ratios(linear, noise)[1])
+    sizes = detectable(whitened, limit, ratio)
+    unseen = hidden(whitened, limit, ratio, sizes)
+    own = {applied.effect.name for applied in model.effects}
+    effects = _effects(candidates, naming, fitted, limit)
+    if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
+        effects = (*effects, _unexplained(p_left))
+    return Diagnosis(
+        verdict=_verdict(bool(mistakes.mistakes), effects),
+        where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
+        mistakes=mistakes,
+        effects=effects,
+        hidden={name: parts for name, parts in unseen.items() if name not in own},
+        detectable=sizes,
+        gap=measure_gap(linear, candidates, grid, naming, noise, limit, setting_rad),
+        registered=registered,
+        linear=linear,
+        candidates=candidates,
+        naming=naming,
+        fitted=fitted,
+        noise=noise,
+        p_left=p_left,
+        notes=(*readings.notes, *_assumed(mistakes.corrected)),
+    )
+
+
+def _assumed(readings: Readings) -> Iterator[str]:
+    """Yield what the diagnosis takes for granted where the readings do not say it."""
+    if not np.isfinite(readings.time_s).any():
+        yield (
+            f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "
+            "are taken, and every rate and time constant rests on that"
+        )
+    if readings.unit != "V":
+        names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
+        yield f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"
+
+
+def _verdict(mistaken: bool, effects: tuple[NamedEffect, ...]) -> Verdict:
+    if mistaken:
+        return "mistake"
+    if any(not e.in_catalogue for e in effects):
+        return "unknown"
+    if any(e.cannot_tell_from for e in effects):
+        return "confounded"
+    return "named" if effects else "agrees"
+
+
+def _p_left(whitened: Whitened, data: Data, naming: Naming) -> float:
+    """Return the probability of what is left beside the scatter of repeats (F test of the lack of fit)."""
+    generic = {
+        i
+        for v in whitened.candidates.variants
+        if v.family in {FREE_BY_ANGLE, FREE_BY_PASS}
+        for i in v.columns
+    }
+    known = naming.columns
+    loose = (*known, *sorted(generic - set(known)))
+    model_search, loose_search = Search.beside(whitened, known), Search.beside(whitened, loose)
+    grid = whitened.grid
+    weight = grid.log_prior + grid.log_det
+    of_model, of_repeats = (
+        model_search.left_over(data).square[:, 0],
+        loose_search.left_over(data).square[:, 0],
+    )
+    ratio = int(np.argmax(weight + grid.log_likelihood(of_model)))
+    taken = _rank(loose_search, whitened, ratio, loose) - len(known)
+    freedom = grid.freedom - len(known) - taken
+    if taken <= 0 or freedom <= 0:
+        return 1.0
+    lack = max(of_model[ratio] - of_repeats[ratio], 0.0) / taken
+    return float(special.fdtrc(taken, freedom, lack / (of_repeats[ratio] / freedom)))
+
+
+def _rank(search: Search, whitened: Whitened, ratio: int, columns: tuple[int, ...]) -> int:
+    gram = whitened.gram[ratio][np.ix_(columns, columns)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return int(np.linalg.matrix_rank(gram * np.outer(scale, scale), tol=1e-6, hermitian=True))
+
+
+def _unexplained(p: float) -> NamedEffect:
+    return NamedEffect("lack_of_fit", (), (), (), (), {}, p, p, float("nan"), UNNAMED_WORDS["lack_of_fit"])
+
+
+def _effects(
+    candidates: Candidates, naming: Naming, fitted: Posterior, limit: Threshold
+) -> tuple[NamedEffect, ...]:
+    effects = []
+    start = 0
+    for found in naming.found:
+        count = len(found.variant.columns)
+        mine = slice(start, start + count)
+        start += count
+        value, u = fitted.amplitudes[mine], fitted.amplitude_u[mine]
+        p = float(special.chdtrc(count, found.size**2))
+        shared = (channels_of(found), found.variant.mounts, found.ties, found.plainer_than)
+        if found.variant.named:
+            applied = _applied(candidates, found.variant, value, u)
+            effects.append(
+                NamedEffect(
+                    found.variant.family, *shared, _told(applied), p, max(p, limit.p(found.total)), found.size,
+                    CATALOGUE[found.variant.family].sentence, applied,
+                    known_together(candidates, found.variant, value, fitted.amplitude_covariance[mine, mine]),
+                )
+            )  # fmt: skip
+        else:
+            words = UNNAMED_WORDS[found.variant.family]
+            words += f" ({found.variant.where})" if found.variant.where else ""
+            effects.append(
+                NamedEffect(
+                    found.variant.family, *shared, {}, p, max(p, limit.p(found.total)), found.size, words
+                )
+            )
+    return tuple(effects)
+
+
+def _applied(candidates: Candidates, variant: Variant, value: Floats, u: Floats) -> tuple[AppliedEffect, ...]:
+    """Return the effect with the estimated values in SI, once for each set of mountings with its own values."""
+    effect = CATALOGUE[variant.family]
+    channels = tuple(CHANNELS[c] for c in variant.channels)
+    kinds = [candidates.kinds[column] for column in variant.columns]
+    applied = []
+    for mounts in dict.fromkeys(kind.mounts for kind in kinds):
+        values: dict[str, Floats] = {name: np.asarray(size) for name, size in variant.shape}
+        sizes: dict[str, Floats] = {}
+        for place, (column, kind) in enumerate(zip(variant.columns, kinds, strict=True)):
+            if kind.mounts != mounts:
+                continue
+            at = () if kind.channel is None else kind.channel
+            for told, number in ((values, value[place]), (sizes, u[place])):
+                told.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
+                told[kind.parameter][at] = number * candidates.scale[column]
+        applied.append(AppliedEffect(effect, values, channels, sizes, mounts))
+    return tuple(applied)
+
+
+def _told(applied: tuple[AppliedEffect, ...]) -> dict[str, object]:
+    """Return parameters with u in the units of the catalogue; by mounting where there are several."""
+    if len(applied) == 1:
+        return _parameters(applied[0])
+    return {"+".join(a.installations): _parameters(a) for a in applied}
+
+
+def _parameters(applied: AppliedEffect) -> dict[str, object]:
+    told: dict[str, object] = {}
+    for p in applied.effect.parameters:
+        if p.name not in applied.values:
+            continue
+        value = np.asarray(applied.values[p.name]) / p.si_per_unit
+        u = np.asarray(applied.u.get(p.name, np.zeros_like(value))) / p.si_per_unit
+        if p.is_shape:
+            told[p.name] = {"value": float(value), "unit": p.unit}
+        elif p.per_channel:
+            rows = [(c, CHANNELS.index(c)) for c in applied.channels]
+            told[p.name] = {c: {"value": float(value[i]), "u": float(u[i]), "unit": p.unit} for c, i in rows}
+        else:
+            told[p.name] = {"value": float(value), "u": float(u), "unit": p.unit}
+    return told

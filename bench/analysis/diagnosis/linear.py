@@ -1,0 +1,226 @@
+"""Readings beside the model's prediction, made linear: what the naming of a missing effect works on.
+
+Rows of the linear system, all in the unit of the signal and with the noise of one reading: three for each
+setting in an installation; one for each verification or free position, whose orientation is not known well
+enough and whose modulus alone tells, |a| = 1 g; three for each reading of a shorted or reference input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration.calibrate import first_guess
+from bench.analysis.calibration.design import FIXED, Problem, coefficient_columns, make_problem
+from bench.model import STAND_ANGLES, AppliedEffect, Block, Conditions, ForwardModel
+from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MODULUS: Final = 3
+"""Channel number of a row that holds a modulus and no single channel."""
+
+REFERENCE_U: Final = 1e-4
+"""Relative standard uncertainty of a reference voltage's value: its drift matters, its value little."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Which reading (of the table) and which channel (0, 1, 2 or `MODULUS`) a row of the system holds."""
+
+    reading: Ints
+    channel: Ints
+
+    def __len__(self) -> int:
+        return len(self.reading)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """y = X c + Z b + noise about a first guess of the block.
+
+    `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
+    angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
+    in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
+    """
+
+    readings: Readings
+    model: ForwardModel
+    block: Block
+    rows: Rows
+    response: Floats
+    fixed: Floats
+    random: Floats
+    slope: Floats
+    setting: Ints
+    moved: Conditions
+    view: _View
+
+    def __len__(self) -> int:
+        return len(self.response)
+
+    def effect_column(self, applied: AppliedEffect) -> Floats:
+        """Return what an effect with these values adds to the rows, shape (N,): its difference from none."""
+        return self.view.rows_of(self.view.change(self.model, applied, self.block))
+
+    def effect_columns(self, applied: AppliedEffect) -> Floats:
+        """Return the same for each channel of an effect of the block apart, shape (N, 3)."""
+        change = self.view.change(self.model, applied, self.block)
+        return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
+
+
+@dataclass(frozen=True)
+class _View:
+    """How changes of the three signals of a reading show in the rows of the system.
+
+    `conditions` are those of all readings in the order of measurement, since effects look back. Where `force`
+    or `voltage_v` (n, 3) is not NaN it stands in place of what the installation gives. `settings`, `moduli`
+    and `inputs` number the readings of each kind; `by_signal` (m, 3) is d|a|/du over its norm.
+    """
+
+    conditions: Conditions
+    force: Floats
+    voltage_v: Floats
+    settings: Ints
+    moduli: Ints
+    inputs: Ints
+    by_signal: Floats
+
+    def change(self, model: ForwardModel, applied: AppliedEffect, block: Block) -> Floats:
+        """Return by how much an effect changes the three signals of each reading, shape (n, 3)."""
+        return self.own(model, (applied,), block)
+
+    def own(self, model: ForwardModel, effects: tuple[AppliedEffect, ...], block: Block) -> Floats:
+        """Return by how much the effects that the model has by now change the signals, shape (n, 3)."""
+        if not effects:
+            return np.zeros(self.force.shape)
+        return self._read(replace(model, effects=effects), block) - self._read(
+            replace(model, effects=()), block
+        )
+
+    def _read(self, model: ForwardModel, block: Block) -> Floats:
+        still = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
+        return model.readings_in_order(
+            block, self.conditions, still, force=self.force, voltage_v=self.voltage_v
+        )
+
+    def rows_of(self, change: Floats) -> Floats:
+        """Contract changes (n, 3) of the signals to rows of the system, shape (N,)."""
+        modulus = np.einsum("mi,mi->m", self.by_signal, change[self.moduli])
+        return np.concatenate([change[self.settings].ravel(), modulus, change[self.inputs].ravel()])
+
+
+def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> Linear:
+    """Make the readings' difference from the model linear in everything that is not known.
+
+    Rows are taken in the order: settings in installations, moduli (verification and free positions), inputs.
+    Raises `CalibrationError` where the settings do not determine the coefficients.
+    """
+    label = readings.installation
+    kind_of = np.where(label == VERIFICATION, 1, np.where(label == FREE, 1, 0))
+    kind_of = np.where(np.isin(label, [SHORTED, REFERENCE]), 2, kind_of)
+    settings, moduli, inputs = (np.flatnonzero(kind_of == kind) for kind in range(3))
+    table = readings.select(kind_of == 0)
+    problem = make_problem(model, table.conditions(), stand_u)
+    block = first_guess(problem, table.signal)
+
+    force, by_signal, weight = _modulus(block, readings.signal[moduli])
+    others = problem.prior_mean
+    given = np.full((len(readings), 3), np.nan)
+    unplaced = np.array([label[i] not in model.installations for i in moduli], dtype=bool)
+    given[moduli[unplaced]] = _unit(force[unplaced])
+    voltage_v = np.full((len(readings), 3), np.nan)
+    voltage_v[inputs] = _input_v(readings.select(kind_of == 2))
+    view = _View(readings.conditions(), given, voltage_v, settings, moduli, inputs, by_signal)
+
+    own = view.own(model, problem.effects_at(others), block)
+    residual = table.signal - problem.predict(block, others)
+    modulus_error = (np.linalg.norm(force, axis=1) - 1.0) * weight
+    modulus_error -= np.einsum("mi,mi->m", by_signal, own[moduli])
+    input_error = readings.signal[inputs] - voltage_v[inputs] - own[inputs]
+    count = len(settings)
+    slope = np.zeros(3 * count + len(moduli) + 3 * len(inputs))
+    slope[: 3 * count] = problem.slope(block, others).ravel()
+    setting = np.full(len(slope), -1)
+    setting[: 3 * count] = np.repeat(np.arange(count), 3)
+    fixed, random = _columns(problem, block, _unit(force), view, label, _unstated(readings))
+    rows = Rows(
+        np.concatenate([np.repeat(settings, 3), moduli, np.repeat(inputs, 3)]),
+        np.concatenate(
+            [np.tile([0, 1, 2], count), np.full(len(moduli), MODULUS), np.tile([0, 1, 2], len(inputs))]
+        ).astype(np.int64),
+    )
+    response = np.concatenate([residual.ravel(), modulus_error, input_error.ravel()])
+    return Linear(
+        readings, model, block, rows, response, fixed, random, slope, setting, problem.conditions, view
+    )
+
+
+def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return a (m, 3), the unit vector along d|a|/du (m, 3), and what turns |a| into a signal's unit (m,)."""
+    if not len(signal):
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    force = block.specific_force(signal)
+    by_signal = _unit(force) @ np.linalg.inv(block.K)
+    size = np.linalg.norm(by_signal, axis=1)
+    return force, by_signal / size[:, None], 1.0 / size
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if len(vectors) else vectors
+
+
+def _unstated(readings: Readings) -> Ints:
+    """Return which readings are of a reference whose value nobody stated: it is as free as it is large."""
+    stated = readings.extra.get("reference_v", np.full(len(readings), ""))
+    blank = np.array([not str(text).strip() for text in stated], dtype=bool)
+    return np.flatnonzero((readings.installation == REFERENCE) & blank)
+
+
+def _input_v(inputs: Readings) -> Floats:
+    stated = inputs.extra.get("reference_v")
+    volts = np.zeros(len(inputs))
+    for i in range(len(inputs)):
+        text = "" if stated is None else str(stated[i]).strip()
+        if inputs.installation[i] == REFERENCE:
+            volts[i] = float(text) if text else float(np.mean(inputs.signal[i]))
+    return np.repeat(volts[:, None], 3, axis=1)
+
+
+def _own_column(problem: Problem, block: Block, view: _View, number: int) -> Floats:
+    """Return what one prior standard deviation of an effect's parameter in the model adds, shape (n, 3)."""
+    step = np.zeros_like(problem.prior_u)
+    step[number] = 1e-3 * problem.prior_u[number]
+    up, down = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
+    return (view.own(problem.model, up, block) - view.own(problem.model, down, block)) / 2e-3
+
+
+def _columns(
+    problem: Problem, block: Block, unit: Floats, view: _View, label: NDArray[np.str_], unstated: Ints
+) -> tuple[Floats, Floats]:
+    """Return the columns of the coefficients and, times their priors, of stand angles and own effects.
+
+    A modulus does not depend on angles of the stand. Readings `unstated` are of references of unknown value.
+    """
+    jacobian = problem.jacobian(block, problem.prior_mean)
+    jacobian[:, :, FIXED:] *= problem.prior_u
+    whole = np.zeros((len(label), 3, jacobian.shape[2]))
+    whole[view.settings] = jacobian
+    whole[view.moduli, :, :FIXED] = coefficient_columns(unit) if len(unit) else 0.0
+    beyond = np.concatenate([view.moduli, view.inputs])
+    for j in range(len(problem.stand), len(problem.prior_u)):
+        whole[beyond, :, FIXED + j] = _own_column(problem, block, view, j)[beyond]
+    columns = np.stack([view.rows_of(whole[:, :, j]) for j in range(whole.shape[2])], axis=1)
+    random = columns[:, FIXED:]
+    reference = label == REFERENCE
+    if np.any(reference):
+        wrong = np.where(reference[:, None], REFERENCE_U * np.nan_to_num(view.voltage_v), 0.0)
+        unknown = [np.where(np.arange(len(label))[:, None] == i, 1.0, 0.0) for i in unstated]
+        columns_of = [wrong, *(one * np.nan_to_num(view.voltage_v) for one in unknown)]
+        random = np.column_stack([random, *(view.rows_of(one) for one in columns_of)])
+    return columns[:, :FIXED], random

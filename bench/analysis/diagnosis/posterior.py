@@ -1,0 +1,135 @@
+"""Coefficients and effects together, once it is settled which effects the model has; and what they predict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration.design import FIXED
+from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.evidence import KNOWN_SIZE, SIZES, Data, Search, Whitened
+from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.naming import Naming
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class NoiseSize:
+    """Noise of a reading (unit of the signal), setting error (rad), and the freedom they were found with."""
+
+    reading: float
+    setting_rad: float
+    freedom: int
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Estimates of coefficients (less the first guess), stand and effects, with covariance, unit of the priors.
+
+    Order: 12 coefficients in their units; the columns of `Linear.random`; the effects' columns.
+    """
+
+    mean: Floats
+    covariance: Floats
+    effects: int
+
+    @property
+    def amplitudes(self) -> Floats:
+        """Of the effects' columns."""
+        return self.mean[len(self.mean) - self.effects :]
+
+    @property
+    def amplitude_covariance(self) -> Floats:
+        """Their covariance."""
+        first = len(self.mean) - self.effects
+        return self.covariance[first:, first:]
+
+    @property
+    def amplitude_u(self) -> Floats:
+        """Their standard uncertainties."""
+        root: Floats = np.sqrt(np.diag(self.covariance))[len(self.mean) - self.effects :]
+        return root
+
+
+def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseSize:
+    """Return the most probable noise sizes when the `known` columns are in the model."""
+    search = Search.beside(whitened, known)
+    left = search.left_over(data)
+    grid = whitened.grid
+    weight = grid.log_prior + grid.log_det + search.log_det + grid.log_likelihood(left.square[:, 0])
+    weight = np.exp(weight - weight.max())
+    weight /= weight.sum()
+    freedom = grid.freedom - len(known)
+    sigma2 = left.square[:, 0] / freedom
+    setting2 = sigma2 * grid.setting_rad_per_noise**2
+    return NoiseSize(
+        grid.sigma * float(np.sqrt(weight @ sigma2)), grid.sigma * float(np.sqrt(weight @ setting2)), freedom
+    )
+
+
+def posterior(linear: Linear, effects: Floats, noise: NoiseSize, rows: Bools | None = None) -> Posterior:
+    """Estimate from `rows` (all by default) with the effects' columns (N, m), one prior size each."""
+    mine = np.ones(len(linear), dtype=bool) if rows is None else rows
+    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
+    white = whiten_rows(linear, noise, np.column_stack([design, linear.response[mine]]), mine)
+    random, extra = linear.random.shape[1], effects.shape[1]
+    prior = np.concatenate([np.zeros(FIXED), np.ones(random), np.full(extra, 1.0 / KNOWN_SIZE**2)])
+    normal = white[:, :-1].T @ white[:, :-1] + np.diag(prior)
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    return Posterior(covariance @ (white[:, :-1].T @ white[:, -1]), covariance, extra)
+
+
+def fit_found(linear: Linear, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
+    """Estimate with all that was found, each effect with a prior of the size that it turned out to have.
+
+    What the readings do not tell of an effect (how it divides between mountings, say) is then as uncertain as
+    effects of that size are, and no more.
+    """
+    columns = candidates.columns[:, list(naming.columns)]
+    first = posterior(linear, columns, noise)
+    sizes = np.ones(columns.shape[1])
+    start = 0
+    for found in naming.found:
+        mine = slice(start, start + len(found.variant.columns))
+        start = mine.stop
+        largest = float(np.max(np.abs(first.amplitudes[mine])))
+        sizes[mine] = next((size for size in SIZES if largest <= 2 * size), KNOWN_SIZE)
+    scale = sizes / KNOWN_SIZE
+    again = posterior(linear, columns * scale, noise)
+    whole = np.concatenate([np.ones(len(again.mean) - len(scale)), scale])
+    return Posterior(again.mean * whole, again.covariance * np.outer(whole, whole), again.effects)
+
+
+def whiten_rows(linear: Linear, noise: NoiseSize, columns: Floats, rows: Bools) -> Floats:
+    """Return R^(-1/2) times columns of the given rows; whole settings must be among them."""
+    slope = linear.slope[rows][:, None]
+    setting = linear.setting[rows]
+    factor = (noise.setting_rad / noise.reading) ** 2
+    oriented = setting >= 0
+    d = slope[oriented].reshape(-1, 3)
+    length2 = np.sum(d**2, axis=1)
+    shrink = (1 - 1 / np.sqrt(1 + factor * length2)) / np.maximum(length2, 1e-300)
+    block = columns[oriented].reshape(len(d), 3, columns.shape[1])
+    along = np.einsum("ni,nip->np", d, block) * shrink[:, None]
+    white = columns / noise.reading
+    white[oriented] -= (d[:, :, None] * along[:, None, :]).reshape(-1, columns.shape[1]) / noise.reading
+    return white
+
+
+def predicted_error(
+    linear: Linear, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Bools
+) -> tuple[Floats, float]:
+    """Return measured less predicted in rows that were not used (n,), and its chi-square.
+
+    The covariance is that of the noise and of all that was estimated.
+    """
+    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[rows]
+    error = linear.response[rows] - design @ fitted.mean
+    white = whiten_rows(linear, noise, np.column_stack([design, error]), rows)
+    spread = np.eye(len(error)) + white[:, :-1] @ fitted.covariance @ white[:, :-1].T
+    return error, float(white[:, -1] @ np.linalg.solve(spread, white[:, -1]))

@@ -1,0 +1,70 @@
+"""The size of the noise from repeats alone: what no model of the bench, right or wrong, could explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.diagnosis.linear import Linear
+
+Floats = NDArray[np.float64]
+
+LEAST_FREEDOM: Final = 6
+"""Settings beyond the saturated description below which repeats tell too little."""
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Noise of a reading (unit of the signal) from what repeats of a setting leave.
+
+    `per_channel` (3,) the scatter of each channel, the setting error in it; `freedom` in settings.
+    """
+
+    sigma: float
+    per_channel: Floats
+    freedom: int
+
+
+def noise_of_repeats(linear: Linear, resolution: float) -> Repeats:
+    """Return the scatter about a free value for each mounting and angle, each pass, and a slope in each mounting.
+
+    The part along du/dphi has the setting error in it and is left out of `sigma`. Where there are too few
+    repeats, the scatter about the model stands in. Never below rounding to `resolution`.
+    """
+    oriented = linear.setting >= 0
+    readings = linear.readings
+    reading = linear.rows.reading[oriented][::3]
+    left = linear.response[oriented].reshape(-1, 3)
+    slope = linear.slope[oriented].reshape(-1, 3)
+    design = _saturated(
+        [f"{s}/{i}" for s, i in zip(readings.series[reading], readings.installation[reading], strict=True)],
+        np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int),
+        readings.pass_number[reading],
+    )
+    u, size, _ = np.linalg.svd(design, full_matrices=False)
+    basis = u[:, size > 1e-9 * size[0]]
+    freedom = len(left) - basis.shape[1]
+    if freedom < LEAST_FREEDOM:
+        whole = np.concatenate([linear.fixed, linear.random], axis=1)[oriented]
+        rest = (left.ravel() - whole @ np.linalg.lstsq(whole, left.ravel(), rcond=None)[0]).reshape(-1, 3)
+        freedom = max(len(left) - 4, 1)
+    else:
+        rest = left - basis @ (basis.T @ left)
+    unit = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
+    across = rest - np.sum(rest * unit, axis=1, keepdims=True) * unit
+    floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(readings.signal))))
+    sigma = max(float(np.sqrt(np.sum(across**2) / (2 * freedom))), floor)
+    return Repeats(sigma, np.sqrt(np.sum(rest**2, axis=0) / freedom), freedom)
+
+
+def _saturated(mount: list[str], angle: NDArray[np.int64], passes: NDArray[np.int64]) -> Floats:
+    cells = list(zip(mount, angle.tolist(), strict=True))
+    turns = list(zip(mount, passes.tolist(), strict=True))
+    columns = [[c == key for c in cells] for key in dict.fromkeys(cells)]
+    columns += [[t == key for t in turns] for key in dict.fromkeys(turns)]
+    rank = np.arange(len(mount), dtype=np.float64) / len(mount)
+    slopes = [np.where(np.array(mount) == key, rank, 0.0) for key in dict.fromkeys(mount)]
+    return np.column_stack([*np.array(columns, dtype=np.float64), *slopes])

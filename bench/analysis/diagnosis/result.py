@@ -1,0 +1,152 @@
+"""What a diagnosis returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.naming import Found, Naming
+from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
+from bench.analysis.diagnosis.where import Place
+from bench.analysis.mistakes.search import MistakeSearch
+from bench.model import CATALOGUE, CHANNELS, AppliedEffect
+
+Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
+
+UNNAMED_WORDS: Mapping[str, str] = {
+    "free_by_angle": "something that depends on the angle of the head, the same in every pass",
+    "free_head_angle": "an error of the head's angle, the same in every pass and installation",
+    "free_by_pass": "something that differs from pass to pass",
+    "slow_in_time": "something that changes slowly with time",
+    "step": "a step of the signal",
+    "single_reading": "a single reading that stands apart",
+    "single_setting": "the angle of a single setting",
+    "lack_of_fit": (
+        "the readings differ from the model by more than their repeats, in no pattern that was looked for"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that was found, with its parameters as estimated.
+
+    `applied` is empty for what has no name, else one entry for each set of mountings with values of its own.
+    `together` are sums or differences of values that the readings tell where they hardly tell the values.
+    `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size in
+    units of noise.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    installations: tuple[str, ...]
+    cannot_tell_from: tuple[str, ...]
+    plainer_than: tuple[str, ...]
+    parameters: Mapping[str, Any]
+    p: float
+    p_all_looks: float
+    rho: float
+    words: str
+    applied: tuple[AppliedEffect, ...] = ()
+    together: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def in_catalogue(self) -> bool:
+        """Whether it has a name."""
+        return self.name in CATALOGUE
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "name": self.name,
+            "channels": list(self.channels),
+            "installations": list(self.installations),
+            "cannot_tell_from": list(self.cannot_tell_from),
+            "plainer_than": list(self.plainer_than),
+            "parameters": dict(self.parameters),
+            "together": [dict(one) for one in self.together],
+            "p": self.p,
+            "p_all_looks": self.p_all_looks,
+            "rho": self.rho,
+            "words": self.words,
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found out about one body of readings.
+
+    `hidden` are effects that the readings could never show, with their parts where it is true of some;
+    `detectable` the sizes, in plausible sizes, that are found in half of all runs. `linear`, `candidates`,
+    `naming`, `fitted` and `noise` are what plots and the report are drawn from.
+    """
+
+    verdict: Verdict
+    where: tuple[Place, ...]
+    mistakes: MistakeSearch
+    effects: tuple[NamedEffect, ...]
+    hidden: Mapping[str, tuple[str, ...]]
+    detectable: Mapping[str, float]
+    gap: Gap
+    registered: Mapping[str, Any]
+    linear: Linear
+    candidates: Candidates
+    naming: Naming
+    fitted: Posterior
+    noise: NoiseSize
+    p_left: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def applied(self) -> tuple[AppliedEffect, ...]:
+        """The named effects with their values, to be added to the model."""
+        return tuple(a for e in self.effects for a in e.applied)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised result; who proposes a measurement or writes a model file puts them in."""
+        mistakes = [
+            {
+                "name": m.name,
+                "channels": list(m.channels),
+                "cannot_tell_from": list(m.cannot_tell_from),
+                "installations": list(m.installations),
+                "parameters": {
+                    "pass": m.pass_number,
+                    "point": m.point,
+                    "misfit_before": m.evidence.before,
+                    "misfit_after": m.evidence.after,
+                },
+                "p": m.p,
+                "p_all_looks": m.p,
+                "words": m.words,
+            }
+            for m in self.mistakes.mistakes
+        ]
+        return {
+            "verdict": self.verdict,
+            "where": [place.to_json() for place in self.where],
+            "effects": mistakes + [effect.to_json() for effect in self.effects],
+            "next_measurement": None,
+            "hidden": list(self.hidden),
+            "hidden_parts": {name: list(parts) for name, parts in self.hidden.items() if parts},
+            "gap": self.gap.to_json(),
+            "model": None,
+            "noise": {
+                "reading": self.noise.reading,
+                "setting_arcsec": self.noise.setting_rad * 648000 / 3.141592653589793,
+                "dof": self.noise.freedom,
+            },
+            "p_left": self.p_left,
+            "detectable": dict(self.detectable),
+            "registered": dict(self.registered),
+            "notes": list(self.notes),
+        }
+
+
+def channels_of(found: Found) -> tuple[str, ...]:
+    """Return the channels by name."""
+    return tuple(CHANNELS[c] for c in found.variant.channels)

@@ -1,0 +1,156 @@
+"""How much evidence chance alone gives: the same search on simulated readings in which nothing is missing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from bench.analysis.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES, Scores, Search, Whitened
+from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.noise_grid import RATIOS
+from bench.model import CATALOGUE
+
+Floats = NDArray[np.float64]
+
+NULLS: Final = 2000
+SEED: Final = 20260
+FALSE_ALARMS: Final = 0.006
+"""How often the search may find something where nothing is."""
+
+TAIL: Final = 0.05
+"""Upper part of the simulated evidences to which an exponential tail is fitted."""
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Evidence (ln odds of anything at all) that chance reaches with `probability`.
+
+    Above `start` the chance of more falls by e for each `decay`; `p_start` is the chance of `start`.
+    """
+
+    value: float
+    probability: float
+    start: float
+    p_start: float
+    decay: float
+    nulls: int
+
+    def p(self, evidence: float) -> float:
+        """Probability that chance gives so much evidence, all looks counted; 1 below the fitted tail."""
+        if evidence <= self.start:
+            return 1.0
+        return float(self.p_start * np.exp(-(evidence - self.start) / self.decay))
+
+
+def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
+    """Return ln of the mean evidence over all families (sets,): the odds that anything is missing."""
+    families = scores.families(whitened.candidates)
+    return np.asarray(logsumexp(families, axis=0) - np.log(len(families)), dtype=np.float64)
+
+
+def null_responses(linear: Linear, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
+    """Draw responses (N, sets) of readings in which nothing is missing; `ratios` (sets,) of the noise."""
+    sets = len(ratios)
+    count = int(linear.setting.max()) + 1
+    typical = np.sqrt(np.sum(linear.slope**2) / count)
+    setting = rng.standard_normal((count, sets)) * ratios / typical
+    response = rng.standard_normal((len(linear), sets))
+    response += np.where(linear.setting >= 0, linear.slope, 0.0)[:, None] * setting[linear.setting]
+    response *= sigma
+    if linear.random.shape[1]:
+        response += linear.random @ rng.standard_normal((linear.random.shape[1], sets))
+    return response
+
+
+def make_threshold(linear: Linear, whitened: Whitened, nulls: int = NULLS) -> Threshold:
+    """Simulate `nulls` data sets on this very design and find what chance gives.
+
+    The ratio of the two noise sizes is drawn from what the bench file says of it.
+    """
+    rng = np.random.default_rng(SEED)
+    grid = whitened.grid
+    ratios = rng.choice(np.array(RATIOS), nulls, p=np.exp(grid.log_prior))
+    search = Search.beside(whitened, ())
+    data = whitened.reduce(null_responses(linear, grid.sigma, ratios, rng))
+    return fit_tail(total_evidence(search.score(data), whitened))
+
+
+def fit_tail(evidence: Floats) -> Threshold:
+    """Fit an exponential to the upper tail of simulated evidences: its quantile scatters less than theirs."""
+    ordered = np.sort(evidence)
+    many = max(int(TAIL * len(ordered)), 10)
+    start = float(ordered[-many - 1])
+    decay = float(np.mean(ordered[-many:] - start))
+    p_start = many / len(ordered)
+    value = start + decay * float(np.log(p_start / FALSE_ALARMS))
+    return Threshold(value, FALSE_ALARMS, start, p_start, decay, len(ordered))
+
+
+@dataclass(frozen=True)
+class ThresholdCache:
+    """Thresholds of designs that were met before, a small JSON file each in `folder` (None: none is kept).
+
+    A design is known by all that its threshold depends on: angles (to 1 arcmin), times (10 s), temperatures
+    (0.01 K), directions, mountings, passes, the stand's limits, the scale of the block and the noise (to 10 %),
+    the catalogue and the priors.
+    """
+
+    folder: Path | None
+
+    def threshold(self, linear: Linear, whitened: Whitened, setting_rad: float) -> Threshold:
+        """Return the threshold of a design, simulated where it is not known yet."""
+        if self.folder is None:
+            return make_threshold(linear, whitened)
+        file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
+        try:
+            return Threshold(**json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError):
+            made = make_threshold(linear, whitened)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            part = file.with_suffix(f".{os.getpid()}")
+            part.write_text(json.dumps(asdict(made)), encoding="utf-8")
+            part.replace(file)
+        except OSError:
+            pass  # the cache saves time and nothing else
+        return made
+
+
+def _key(linear: Linear, whitened: Whitened, setting_rad: float) -> str:
+    readings = linear.readings
+    scale = np.abs(np.diag(linear.block.K)).mean()
+    parts: list[object] = [
+        readings.unit,
+        readings.installation.tolist(),
+        readings.series.tolist(),
+        readings.pass_number.tolist(),
+        readings.point.tolist(),
+        readings.direction.tolist(),
+        np.round(np.degrees(readings.angle_rad) * 60).tolist(),
+        np.round(readings.time_s / 10).tolist(),
+        np.round(readings.temperature_c, 2).tolist(),
+        {name: cells.tolist() for name, cells in readings.extra.items() if name in DESIGN_COLUMNS},
+        {k: np.round(v.block_from_platform, 6).tolist() for k, v in linear.model.installations.items()},
+        [(a.effect.name, a.channels, a.installations, sorted(a.values)) for a in linear.model.effects],
+        np.round(linear.block.K / scale, 2).tolist(),
+        np.round(linear.block.U0 / scale, 2).tolist(),
+        round(float(np.log(scale)) * 50),
+        round(float(np.log(whitened.grid.sigma / scale)) * 10),
+        round(setting_rad * 1e9),
+        np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
+        CATALOGUE_TEXT,
+        (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
+    ]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
+
+
+DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
+CATALOGUE_TEXT: Final = repr([(name, effect.parameters) for name, effect in CATALOGUE.items()])

@@ -1,0 +1,82 @@
+"""What these readings could never show, and how large each effect would have to be to be found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.diagnosis.candidates import ROUND
+from bench.analysis.diagnosis.evidence import Search, Whitened
+from bench.analysis.diagnosis.threshold import Threshold
+from bench.model import CATALOGUE
+
+BEYOND_BELIEF: Final = 30.0
+"""An effect that would have to be so many plausible sizes large to be found is hidden."""
+
+
+def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
+    """Return for each effect the size, in plausible sizes, that is found in half of all runs (infinite: never).
+
+    Of the forms that an effect may have, the one that shows best.
+    """
+    variants = whitened.candidates.variants
+    half = half_power(whitened, threshold)
+    best = dict.fromkeys(CATALOGUE, 0.0)
+    for group in Search.beside(whitened, ()).groups:
+        largest = np.sqrt(group.values[ratio].max(axis=1))
+        for number, seen in zip(group.members.tolist(), largest.tolist(), strict=True):
+            if variants[number].named:
+                best[variants[number].family] = max(best[variants[number].family], seen)
+    return {name: half / seen if seen > NOTHING_SEEN else float("inf") for name, seen in best.items()}
+
+
+NOTHING_SEEN: Final = 1e-6
+"""In units of noise, for a plausible size: rounding, no signal."""
+
+
+def half_power(whitened: Whitened, threshold: Threshold) -> float:
+    """Return the size (rho, units of noise) of an effect of one parameter that is found in half of all runs.
+
+    There ln of its evidence, about rho^2/2 less its price, equals the threshold; the price of one
+    parameter and of the forms and families looked at is taken from their number.
+    """
+    candidates = whitened.candidates
+    looks = np.log(len(candidates.families)) + 1.5
+    return float(np.sqrt(2.0 * max(threshold.value + looks + 2.0, 1.0)))
+
+
+def hidden(
+    whitened: Whitened, threshold: Threshold, ratio: int, sizes: Mapping[str, float]
+) -> dict[str, tuple[str, ...]]:
+    """Return the effects that these readings could never show, in the order of the catalogue.
+
+    With each stand the parts of which that is true, none named where it is all of them: an effect whose wave
+    they show in one phase and never in the other is among them. `sizes` come from `detectable`.
+    """
+    parts = _hidden_parts(whitened, half_power(whitened, threshold), ratio)
+    told: dict[str, tuple[str, ...]] = {}
+    for name in CATALOGUE:
+        if sizes[name] > BEYOND_BELIEF:
+            told[name] = ()
+        elif any(parameter.endswith(ROUND) for parameter, _ in parts.get(name, ())):
+            told[name] = tuple(text for _, text in parts[name])
+    return told
+
+
+def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list[tuple[str, str]]]:
+    candidates = whitened.candidates
+    seen = np.sqrt(np.maximum(np.diagonal(whitened.gram[ratio]), 0.0))
+    best: dict[tuple[str, str, str], float] = {}
+    for variant in candidates.variants:
+        if variant.named:
+            shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
+            for column in variant.columns:
+                key = (variant.family, candidates.kinds[column].parameter, shape)
+                best[key] = max(best.get(key, 0.0), float(seen[column]))
+    parts: dict[str, list[tuple[str, str]]] = {}
+    for (family, parameter, shape), size in best.items():
+        if half > BEYOND_BELIEF * size:
+            parts.setdefault(family, []).append((parameter, f"{parameter} ({shape})" if shape else parameter))
+    return parts

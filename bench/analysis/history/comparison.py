@@ -1,0 +1,309 @@
+"""Compare calibrations of one block: E_n, a joint chi-square, drift.
+
+Sources: ISO 13528:2022, 9.7 and ISO/IEC 17043:2023, annex B (E_n numbers, U with k = 2); S. Holm, "A simple
+sequentially rejective multiple test procedure", Scand. J. Statist. 6 (1979), for the number of looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from bench.analysis.calibration.result import CalibrationError
+from bench.model.block import COEFFICIENTS
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+COVERAGE: Final = 2.0
+CHANGED_P: Final = 0.05
+"""A coefficient changed when chance alone would show any change so large, in all looks, less often than this."""
+JOINT_P: Final = 0.01
+LEAST_FOR_DRIFT: Final = 3
+LEAST_SPAN: Final = timedelta(days=1)
+"""Calibrations within a shorter time show a scatter, no drift."""
+MOST_CONDITION: Final = 1e12
+ALIKE: Final = 0.01
+"""Calibrations apart agree in all twelve coefficients within this part of u once in 10^25 times."""
+SECONDS_PER_YEAR: Final = 365.25 * 86400.0
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A calibration at a time: coefficients `vector` (12,) in unit/g with g = `g_m_s2`, `covariance` (12, 12).
+
+    `block` says which block it was (type and serial number), empty where nobody recorded it.
+    """
+
+    name: str
+    when: datetime | None
+    block: str
+    unit: str
+    g_m_s2: float
+    vector: Floats
+    covariance: Floats
+    simulated: bool = False
+
+    def per(self, g_m_s2: float) -> Snapshot:
+        """Return it with scale factors per another local gravity: the same per m/s^2."""
+        factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
+        covariance = self.covariance * np.outer(factor, factor)
+        return replace(self, g_m_s2=g_m_s2, vector=self.vector * factor, covariance=covariance)
+
+
+@dataclass(frozen=True)
+class Changes:
+    """A later calibration against the first: `difference`, `u`, `en` (12,), each with its own meaning of size.
+
+    `p_all_looks` (12,) are two-sided probabilities after Holm over all coefficients and calibrations compared;
+    `chi2` with twelve degrees of freedom and `p` judge all coefficients together, with their covariances.
+    """
+
+    later: Snapshot
+    difference: Floats
+    u: Floats
+    en: Floats
+    p_all_looks: Floats
+    chi2: float
+    p: float
+
+    @property
+    def changed(self) -> Flags:
+        """Which coefficients changed beyond their uncertainty, shape (12,)."""
+        return self.p_all_looks < CHANGED_P
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Weighted straight lines through each coefficient over time.
+
+    `per_year` and `u` (12,); `p_all_looks` (12,) after Holm over the twelve; `chi2` and `p` of what the lines
+    leave, with `dof` degrees of freedom.
+    """
+
+    per_year: Floats
+    u: Floats
+    p_all_looks: Floats
+    chi2: float
+    dof: int
+    p: float
+
+    @property
+    def shown(self) -> Flags:
+        """Which coefficients drift, shape (12,)."""
+        return self.p_all_looks < CHANGED_P
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All later calibrations against the first, and what they say together.
+
+    `p_constant` is the probability of so much disagreement among all of them if nothing changed.
+    """
+
+    first: Snapshot
+    changes: tuple[Changes, ...]
+    p_constant: float
+    drift: Drift | None
+    notes: tuple[str, ...]
+
+    @property
+    def changed(self) -> bool:
+        """Whether any coefficient changed, or all together did."""
+        return self.p_constant < JOINT_P or any(bool(np.any(c.changed)) for c in self.changes)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result."""
+        return {
+            "first": _snapshot_json(self.first),
+            "unit": self.first.unit,
+            "g_m_s2": self.first.g_m_s2,
+            "compared": [_changes_json(changes) for changes in self.changes],
+            "p_constant": self.p_constant,
+            "drift": self.drift and _drift_json(self.drift),
+            "changed": self.changed,
+            "notes": list(self.notes),
+        }
+
+
+def compare(snapshots: Sequence[Snapshot]) -> Comparison:
+    """Compare calibrations of one block, the earliest being the reference where all have a date.
+
+    Coefficients are brought to the local gravity of the first. Raises `CalibrationError` when there are fewer
+    than two, their units differ, or covariances are singular.
+    """
+    if len(snapshots) < 2:
+        raise CalibrationError("a comparison needs two calibrations or more; name another run or result")
+    units = sorted({snapshot.unit for snapshot in snapshots})
+    if len(units) > 1:
+        told = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
+        raise CalibrationError(f"coefficients in different units cannot be compared ({told})")
+    for snapshot in snapshots:
+        _require_regular(snapshot)
+    dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
+    dated = len(dates) == len(snapshots)
+    ordered = list(snapshots)
+    if dated:
+        ordered = [snapshots[k] for k in np.argsort([d.timestamp() for d in dates], kind="stable")]
+    notes = _notes(ordered, dated=dated)
+    g = ordered[0].g_m_s2
+    alike = [snapshot.per(g) for snapshot in ordered]
+    differences = [later.vector - alike[0].vector for later in alike[1:]]
+    u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]
+    p = holm(
+        np.concatenate(
+            [special.erfc(np.abs(d) / s / np.sqrt(2)) for d, s in zip(differences, u, strict=True)]
+        )
+    )
+    changes = tuple(
+        _changes(alike[0], later, d, s, own)
+        for later, d, s, own in zip(alike[1:], differences, u, p.reshape(-1, len(COEFFICIENTS)), strict=True)
+    )
+    drifts = dated and len(dates) >= LEAST_FOR_DRIFT and max(dates) - min(dates) >= LEAST_SPAN
+    return Comparison(alike[0], changes, _constant(alike), _drift(alike, dates) if drifts else None, notes)
+
+
+def holm(p: Floats) -> Floats:
+    """Return probabilities (m,) adjusted for m looks: p_(k) times (m - k), never falling, at most 1."""
+    order = np.argsort(p)
+    stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.minimum(stepped, 1.0)
+    return adjusted
+
+
+def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:
+    en = np.abs(difference) / (COVERAGE * u)
+    chi2 = _chi2(difference, first.covariance + later.covariance)
+    return Changes(later, difference, u, en, p, chi2, float(special.chdtrc(len(difference), chi2)))
+
+
+def _require_regular(snapshot: Snapshot) -> None:
+    """Refuse a result in which a coefficient was fixed, or is a sum of others."""
+    u = np.sqrt(np.diag(snapshot.covariance))
+    if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
+        raise CalibrationError(
+            f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
+            "readings; calibrate from installations of known orientation"
+        )
+
+
+def _chi2(difference: Floats, covariance: Floats) -> float:
+    """Quadratic form, on correlations so that coefficients of different units are alike."""
+    u = np.sqrt(np.diag(covariance))
+    scaled = difference / u
+    return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
+
+
+def _constant(snapshots: Sequence[Snapshot]) -> float:
+    """Probability of the disagreement about one vector for all (generalised least squares)."""
+    weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
+    mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
+    chi2 = sum(_chi2(s.vector - mean, s.covariance) for s in snapshots)
+    return float(special.chdtrc(len(mean) * (len(snapshots) - 1), chi2))
+
+
+def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> Drift:
+    """Straight lines by generalised least squares, all coefficients at once with their covariances."""
+    seconds = np.sort([date.timestamp() for date in dates])
+    years = (seconds - seconds[0]) / SECONDS_PER_YEAR
+    count = len(COEFFICIENTS)
+    normal, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+    designs = [np.kron([1.0, year - years.mean()], np.eye(count)) for year in years]
+    for design, snapshot in zip(designs, snapshots, strict=True):
+        weighted = np.linalg.solve(snapshot.covariance, design)
+        normal += design.T @ weighted
+        right += weighted.T @ snapshot.vector
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    line = covariance @ right
+    left = [s.vector - d @ line for d, s in zip(designs, snapshots, strict=True)]
+    chi2 = sum(_chi2(gap, s.covariance) for gap, s in zip(left, snapshots, strict=True))
+    slope, u = line[count:], np.sqrt(np.diag(covariance))[count:]
+    dof = count * (len(snapshots) - 2)
+    p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
+    return Drift(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))
+
+
+def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
+    notes = []
+    blocks = sorted({snapshot.block for snapshot in snapshots if snapshot.block})
+    if len(blocks) > 1:
+        notes.append(f"THESE ARE DIFFERENT BLOCKS, as recorded: {', '.join(blocks)}")
+    elif any(not snapshot.block for snapshot in snapshots):
+        notes.append(
+            "not every result says which block it is of; that it is the same one is taken for granted"
+        )
+    if not dated:
+        notes.append(
+            "not every calibration has a date: the first named is the reference; no drift is computed"
+        )
+    if any(_one_and_the_same(a, b) for a, b in combinations(snapshots, 2)):
+        notes.append(
+            "two of these agree to a hundredth of their uncertainty in everything: do they come from the same "
+            "readings?"
+        )
+    if len({snapshot.simulated for snapshot in snapshots}) > 1:
+        notes.append("some of these were found on simulated instruments, some on real ones")
+    others = sorted({s.g_m_s2 for s in snapshots if s.g_m_s2 != snapshots[0].g_m_s2})
+    if others:
+        told = ", ".join(f"{g:.6g}" for g in others)
+        notes.append(
+            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {told} elsewhere): scale factors are "
+            "converted to the gravity of the first, so that they are compared per m/s²"
+        )
+    notes.append(
+        "voltmeter gain and offset are in no uncertainty: with the same meters they cancel, with other ones they "
+        "pass for a change"
+    )
+    return tuple(notes)
+
+
+def _one_and_the_same(a: Snapshot, b: Snapshot) -> bool:
+    u = np.sqrt(np.diag(a.covariance) + np.diag(b.covariance))
+    return bool(np.all(np.abs(a.vector - b.vector) <= ALIKE * u))
+
+
+def _snapshot_json(snapshot: Snapshot) -> dict[str, Any]:
+    when = snapshot.when.isoformat() if snapshot.when else None
+    return {"name": snapshot.name, "made_at": when, "block": snapshot.block or None}
+
+
+def _changes_json(changes: Changes) -> dict[str, Any]:
+    columns = (changes.difference, changes.u, changes.en, changes.p_all_looks, changes.changed)
+    return {
+        **_snapshot_json(changes.later),
+        "coefficients": {
+            name: {
+                "difference": float(d),
+                "u": float(u),
+                "en": float(en),
+                "p_all_looks": float(p),
+                "changed": bool(changed),
+            }
+            for name, d, u, en, p, changed in zip(COEFFICIENTS, *columns, strict=True)
+        },
+        "chi2": changes.chi2,
+        "dof": len(COEFFICIENTS),
+        "p": changes.p,
+    }
+
+
+def _drift_json(drift: Drift) -> dict[str, Any]:
+    rows = zip(COEFFICIENTS, drift.per_year, drift.u, drift.p_all_looks, drift.shown, strict=True)
+    return {
+        "per_year": {
+            name: {"value": float(value), "u": float(u), "p_all_looks": float(p), "shown": bool(shown)}
+            for name, value, u, p, shown in rows
+        },
+        "chi2": drift.chi2,
+        "dof": drift.dof,
+        "p": drift.p,
+    }

@@ -1,0 +1,255 @@
+"""Mistakes of wiring and procedure, which move readings by volts: each is supposed, the readings fitted anew.
+
+The fit is least squares on the nominal geometry with the block's data sheet as prior, so that a mistake in
+the whole run, which twelve free coefficients would take up, is seen too. `GROSS_G` stands for everything that
+is no mistake: the stand's errors and effects of the block. A few readings that fit no supposition (a wrong
+setting among exchanged wires) are left out of it, at a price.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from bench.analysis.mistakes.reinterpretation import (
+    Oriented,
+    Reinterpretation,
+    nothing,
+    other_mountings,
+    suppositions,
+)
+from bench.model import Block, Installation
+from bench.model.geometry import STAND_ANGLES, specific_force_on_platform
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+GROSS_G: Final = 5e-4
+"""What a reading may be off without a mistake, 1 sigma: 100 arcsec, or a large effect of the block."""
+SCALE_U: Final = 0.10
+CROSS_AXIS_U: Final = 0.05
+BIAS_U_G: Final = 0.5
+"""Prior 1 sigma of the coefficients: parts of the nominal scale factor, and g."""
+
+LEAST_FALL: Final = 150.0
+"""A mistake lowers the cost by as much at least; a wrong sign of a scale factor costs 400."""
+FITS: Final = 4.0
+"""Readings fit where no more than `LEAST_FALL` is left, or so much a signal but the data sheet agrees."""
+LARGE_FALL: Final = 0.8
+"""Where no mistake, nor two, make them fit, one is believed that lowers the cost by such a part (or brings the
+block nearer to its data sheet, if all that is wrong is against it)."""
+
+MOST_LEFT_OUT: Final = 4
+LEFT_OUT: Final = 50.0
+"""Cost of a reading that is left out."""
+STRANGE: Final = 400.0
+"""A reading is left out where that lowers the cost by as much: it is 10 mg off."""
+
+EQUAL: Final = 12.0
+"""Suppositions whose costs differ by less explain the readings equally."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Cost (-2 ln posterior) and coefficients (H, 4, 3) of each supposition, a column a channel's K_i and U0_i.
+
+    `sheet` is the data sheet's part of the cost: how far the coefficients lie from it, as a chi-square.
+    """
+
+    cost: Floats
+    sheet: Floats
+    coefficients: Floats
+
+
+@dataclass(frozen=True)
+class GrossMistake:
+    """The supposition that explains the readings, those that explain them equally, the global p."""
+
+    supposition: Reinterpretation
+    equal: tuple[Reinterpretation, ...]
+    p: float
+
+
+@dataclass(frozen=True)
+class GrossSearch:
+    """Looks for gross mistakes in tables of one bench; `nominal` (3,) are scale factors with their signs."""
+
+    installations: Mapping[str, Installation]
+    nominal: Floats | None
+
+    def find(self, table: Oriented) -> tuple[GrossMistake | None, int]:
+        """Return the likeliest mistake, or None where there is none, and the number of looks that it took.
+
+        Where only two mistakes together explain the readings, the first of them.
+        """
+        supposed = suppositions(table)
+        looks = len(supposed)
+        if float(self.score(table, [nothing(table)]).cost[0]) < LEAST_FALL:
+            return None, looks  # nothing can lower the cost as much
+        scores = self.score(table, supposed)
+        if float(np.max(scores.cost[0] - scores.cost)) < LEAST_FALL:
+            return None, looks
+        best = int(np.argmin(scores.cost))
+        if not bool(_fits(scores, len(table))[best]):
+            first, more = self._first_of_two(table, supposed, scores.cost)
+            looks += more
+            best = first or (best if _better(scores, best, len(table)) else 0)
+        if best == 0:
+            return None, looks
+        return self._with_equals(table, supposed, scores.cost, best, looks), looks
+
+    def first_guess(self, table: Oriented) -> tuple[Block, float]:
+        """Return the block as the readings are recorded, and its distance from the data sheet, a chi-square."""
+        scores = self.score(table, [nothing(table)])
+        found = scores.coefficients[0]
+        return Block(found[:3].T.copy(), found[3].copy()), float(scores.sheet[0])
+
+    def score(self, table: Oriented, supposed: Sequence[Reinterpretation]) -> Scores:
+        """Return the cost of each supposition; unit-free, in `GROSS_G`."""
+        scale = self._scale(table)
+        signal = np.stack([s.signal(table) for s in supposed]) / (GROSS_G * scale)
+        columns = self._columns(table, supposed)
+        weight = np.stack([np.ones(len(table)) if s.source is None else s.source >= 0 for s in supposed])
+        mean, precision = self._prior(scale)
+        return _fit(columns, signal, weight.astype(np.float64), mean, precision, GROSS_G * scale)
+
+    def _scale(self, table: Oriented) -> Floats:
+        """Size of a channel's signals for 1 g, (3,)."""
+        if self.nominal is not None:
+            return np.abs(self.nominal)
+        spread = np.ptp(np.percentile(table.signal, [5, 95], axis=0), axis=0) / 2
+        return np.asarray(np.maximum(spread, max(1e-3 * float(spread.max()), 1e-300)))
+
+    def _columns(self, table: Oriented, supposed: Sequence[Reinterpretation]) -> Floats:
+        """Specific forces and a one for the bias, (H, n, 4)."""
+        angle = np.stack([table.angle_rad if s.angle_rad is None else s.angle_rad for s in supposed])
+        on_platform = specific_force_on_platform(angle.ravel(), np.zeros((angle.size, len(STAND_ANGLES))))
+        on_platform = on_platform.reshape(*angle.shape, 3)
+        names = table.labels
+        turns = np.stack([self.installations[name].block_from_platform for name in names])
+        number = {name: i for i, name in enumerate(names)}
+        stated = np.array([number[label] for label in table.label.tolist()])
+        force = np.einsum("nij,hnj->hni", turns[stated], on_platform)
+        for h, s in enumerate(supposed):
+            if s.label is not None:
+                at = [number[label] for label in s.label.tolist()]
+                force[h] = np.einsum("nij,nj->ni", turns[at], on_platform[h])
+            for label, turn in s.turns.items():
+                rows = table.label == label
+                force[h, rows] = force[h, rows] @ turn.T
+        return np.concatenate([force, np.ones((*force.shape[:2], 1))], axis=2)
+
+    def _prior(self, scale: Floats) -> tuple[Floats, Floats]:
+        """Prior means and precisions of (K_ix, K_iy, K_iz, U0_i), (4, 3), in units of `GROSS_G`."""
+        mean = np.zeros((4, 3))
+        if self.nominal is None:
+            return mean, np.full((4, 3), 1e-6 * GROSS_G**2)  # no more than keeps the fit solvable
+        mean[:3] = np.diag(self.nominal) / (GROSS_G * scale)
+        u = np.vstack([np.where(np.eye(3) == 1, SCALE_U, CROSS_AXIS_U), np.full(3, BIAS_U_G)]) / GROSS_G
+        return mean, np.asarray(1 / u**2)
+
+    def _first_of_two(
+        self, table: Oriented, supposed: Sequence[Reinterpretation], cost: Floats
+    ) -> tuple[int, int]:
+        """Return the first of two mistakes that make the readings fit together (0 for none), and the looks."""
+        looks = 0
+        for h in np.argsort(cost).tolist():
+            if h:
+                corrected = put_right(table, supposed[h])
+                second = suppositions(corrected)
+                looks += len(second)
+                if np.any(_fits(self.score(corrected, second), len(table))):
+                    return h, looks
+        return 0, looks
+
+    def _with_equals(
+        self, table: Oriented, supposed: list[Reinterpretation], cost: Floats, best: int, looks: int
+    ) -> GrossMistake:
+        """Name the plainest of the equally good ones; see whether another mounting would do as well."""
+        mountings = other_mountings(table)
+        other = self.score(table, mountings).cost
+        ranked = np.flatnonzero(cost - cost[best] < EQUAL)
+        chosen = supposed[ranked[0]] if ranked[0] else supposed[best]
+        equal = [supposed[h] for h in ranked.tolist() if h and supposed[h] is not chosen]
+        equal += [m for m, c in zip(mountings, other, strict=True) if c - cost[best] < EQUAL]
+        # chi-square beyond this is a p of 1e-300
+        p = looks * float(special.chdtrc(1, min(cost[0] - cost[best], 1370.0)))
+        return GrossMistake(chosen, tuple(equal), min(p, 1.0))
+
+
+def put_right(table: Oriented, supposition: Reinterpretation) -> Oriented:
+    """Return the oriented rows as they were if the supposition holds."""
+    kept = np.ones(len(table), dtype=bool) if supposition.source is None else supposition.source >= 0
+    label = table.label if supposition.label is None else supposition.label
+    angle = table.angle_rad if supposition.angle_rad is None else supposition.angle_rad
+    return Oriented(
+        table.rows[kept],
+        table.mounts,
+        table.mount[kept],
+        table.pass_number[kept],
+        label[kept],
+        angle[kept],
+        supposition.signal(table)[kept],
+    )
+
+
+def _fits(scores: Scores, n: int) -> NDArray[np.bool_]:
+    """Whether readings (n of them) fit with each supposition, (H,)."""
+    return np.asarray((scores.sheet <= LEAST_FALL) & (scores.cost <= LEAST_FALL + FITS * 3 * n))
+
+
+def _better(scores: Scores, best: int, n: int) -> bool:
+    """Whether a supposition that does not make the readings fit is the first step of more than two to it."""
+    falls = scores.cost[best] <= (1 - LARGE_FALL) * scores.cost[0]
+    against_sheet_alone = scores.cost[best] - scores.sheet[best] <= FITS * 3 * n
+    return bool(falls or (against_sheet_alone and scores.sheet[0] - scores.sheet[best] >= LEAST_FALL))
+
+
+def _fit(
+    columns: Floats, signal: Floats, weight: Floats, mean: Floats, precision: Floats, unit: Floats
+) -> Scores:
+    """Fit each supposition, leaving out readings that fit it least, one after another.
+
+    `columns` (H, n, 4), `signal` (H, n, 3), `weight` (H, n), `mean` and `precision` (4, 3); `unit` (3,) is
+    what the signals are given in. Where leaving out cannot make a supposition as good as another, none is.
+    """
+    cost, sheet, coefficients, gain = _weighted_fit(columns, signal, weight, mean, precision)
+    within_reach = cost - 2 * np.sort(gain, axis=1)[:, -MOST_LEFT_OUT:].sum(axis=1) <= cost.min()
+    at = np.flatnonzero(within_reach & (gain.max(axis=1) > STRANGE))
+    weight, gain = weight[at].copy(), gain[at]
+    for left_out in range(1, MOST_LEFT_OUT + 1):
+        strange = gain.max(axis=1) > STRANGE
+        at, weight, gain = at[strange], weight[strange], gain[strange]
+        if not len(at):
+            break
+        weight[np.arange(len(at)), gain.argmax(axis=1)] = 0.0
+        fitted = _weighted_fit(columns[at], signal[at], weight, mean, precision)
+        cost[at], sheet[at], coefficients[at], gain = fitted[0] + left_out * LEFT_OUT, *fitted[1:]
+    return Scores(cost, sheet, coefficients * unit)
+
+
+def _weighted_fit(
+    columns: Floats, signal: Floats, weight: Floats, mean: Floats, precision: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return cost and the data sheet's part (H,), coefficients (H, 4, 3), and each reading's part (H, n).
+
+    That part is what leaving the reading out would gain.
+    """
+    weighted = columns * weight[:, :, None]
+    transposed = weighted.transpose(0, 2, 1)
+    prior = np.einsum("ai,ab->iab", precision, np.eye(4))
+    normal = (transposed @ columns)[:, None] + prior  # (H, 3, 4, 4)
+    right = transposed @ signal + precision * mean
+    inverse = np.linalg.inv(normal)
+    coefficients = np.einsum("hiab,hbi->hai", inverse, right)
+    left = signal - columns @ coefficients
+    square = weight[:, :, None] * left**2
+    sheet = np.sum(precision * (coefficients - mean) ** 2, axis=(1, 2))
+    cost = square.sum(axis=(1, 2)) + sheet
+    lever = np.sum((columns[:, None] @ inverse) * columns[:, None], axis=3).transpose(0, 2, 1)
+    return cost, sheet, coefficients, np.sum(square / np.maximum(1 - lever, 1e-6), axis=2)

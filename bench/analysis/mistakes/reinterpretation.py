@@ -1,0 +1,319 @@
+"""The same readings, supposed to have been taken otherwise than the table says: one class of supposition.
+
+A supposition changes the sense of what was recorded (which wire is which, which way the head counts, which
+installation it was, which stop a reading belongs to) in the whole run, one mounting or one pass of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.model import Mount
+from bench.readings.table import REFERENCE, UNORIENTED, VERIFICATION, Readings
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Labels = NDArray[np.str_]
+
+OTHER_MOUNTING: Final = "other_mounting"
+"""No mistake of its own here, since a table cannot say how else the block sat; a mistake may look like it."""
+
+_ORDERS: Final[Mapping[str, tuple[int, int, int]]] = {
+    "x and y": (1, 0, 2),
+    "x and z": (2, 1, 0),
+    "y and z": (0, 2, 1),
+    "x, y and z (x shows y, y shows z, z shows x)": (2, 0, 1),
+    "x, y and z (x shows z, y shows x, z shows y)": (1, 2, 0),
+}
+"""Channels exchanged, and for each true signal the channel that shows it."""
+
+SAME_STOP: Final = np.radians(0.5)
+
+
+@dataclass(frozen=True)
+class Oriented:
+    """The rows of a table that have an orientation: `rows` (n,) are their places in it."""
+
+    rows: Ints
+    mounts: tuple[Mount, ...]
+    mount: Ints
+    pass_number: Ints
+    label: Labels
+    angle_rad: Floats
+    signal: Floats
+
+    @classmethod
+    def of(cls, readings: Readings) -> Oriented:
+        """Take the oriented rows of a table."""
+        rows = np.flatnonzero(~np.isin(readings.installation, [VERIFICATION, *UNORIENTED]))
+        chosen = readings.select(np.isin(np.arange(len(readings)), rows))
+        conditions = chosen.conditions()
+        return cls(
+            rows,
+            conditions.mounts,
+            conditions.mount,
+            chosen.pass_number,
+            chosen.installation,
+            chosen.angle_rad,
+            chosen.signal,
+        )
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def labels(self) -> list[str]:
+        """The installations that occur, in order of appearance."""
+        return list(dict.fromkeys(self.label.tolist()))
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Where a supposition holds: `mask` (n,); no mount named is the whole run, no pass all of them."""
+
+    mask: Bools
+    mounts: tuple[Mount, ...] = ()
+    pass_number: int | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is the whole run."""
+        return not self.mounts and self.pass_number is None
+
+    def __str__(self) -> str:
+        if self.whole:
+            return "in the whole run"
+        where = f"in installation {' and '.join(str(mount) for mount in self.mounts)}"
+        return where if self.pass_number is None else f"{where}, pass {self.pass_number}"
+
+
+@dataclass(frozen=True)
+class Reinterpretation:
+    """A supposition. What is left at its default stays as recorded.
+
+    `signs` multiplies the three signals after `order` has put them right; `label` (n,) are the true
+    installations, `angle_rad` (n,) the true angles; `source` (n,) names for each row that whose signals belong
+    to it, -1 for none.
+    """
+
+    name: str
+    scope: Scope
+    words: str
+    channels: tuple[str, ...] = ()
+    order: tuple[int, int, int] = (0, 1, 2)
+    signs: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    label: Labels | None = None
+    angle_rad: Floats | None = None
+    source: Ints | None = None
+    turns: Mapping[str, Floats] = field(default_factory=dict)
+
+    @property
+    def matrix(self) -> Floats:
+        """What makes a triple of signals right, (3, 3)."""
+        return np.diag(self.signs) @ np.eye(3)[list(self.order)]
+
+    def signal(self, table: Oriented) -> Floats:
+        """Return the signals (n, 3) that belong to the rows; where there is none, those recorded."""
+        moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
+        return np.where(self.scope.mask[:, None], moved @ self.matrix.T, moved)
+
+    def correct(self, readings: Readings, table: Oriented) -> Readings:
+        """Return a copy of the whole table (from which `table` was taken) put right.
+
+        Wires and the head's sense in the whole run are those of verification points and free positions, too.
+        A reference keeps its sign: it is known. A row that is left without signals is left out.
+        """
+        signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
+        angle, target = readings.angle_rad.copy(), readings.target_rad.copy()
+        direction = readings.direction.copy()
+        inside = table.rows[self.scope.mask]
+        others = np.setdiff1d(np.arange(len(readings)), table.rows) if self.scope.whole else inside[:0]
+        if self.source is not None:
+            taken = table.rows[np.maximum(self.source, 0)]
+            signal[table.rows], spread[table.rows] = readings.signal[taken], readings.signal_sd[taken]
+            samples[table.rows] = readings.samples[taken]
+        wired = np.concatenate([inside, others])
+        kept = readings.installation[wired] == REFERENCE
+        sign = np.where(kept[:, None], 1.0, np.array(self.signs))
+        signal[wired] = signal[wired][:, list(self.order)] * sign
+        spread[wired] = spread[wired][:, list(self.order)]
+        if self.angle_rad is not None:
+            angle[table.rows] = self.angle_rad
+        if self.name == "reversed_rotation":
+            angle[others] = -angle[others]
+            target[wired], direction[wired] = -target[wired], -direction[wired]
+        installation = readings.installation.astype(object)
+        if self.label is not None:
+            installation[table.rows] = self.label
+        corrected = replace(
+            readings,
+            signal=signal,
+            signal_sd=spread,
+            samples=samples,
+            angle_rad=angle,
+            target_rad=target,
+            direction=direction,
+            installation=installation.astype(np.str_),
+        )
+        if self.source is None:
+            return corrected
+        return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
+
+
+def suppositions(table: Oriented) -> list[Reinterpretation]:
+    """Return every supposition about a table, the plainer ones first; the first supposes nothing."""
+    scopes = _scopes(table)
+    found = [nothing(table)]
+    for make in (_swapped_channels, _reversed_polarity, _reversed_rotation, _other_label, _shifted):
+        found += [supposition for scope in scopes for supposition in make(table, scope)]
+    return found + _swapped_installations(table)
+
+
+def nothing(table: Oriented) -> Reinterpretation:
+    """Return the supposition that all is as recorded."""
+    return Reinterpretation("", Scope(np.ones(len(table), dtype=bool)), "")
+
+
+def _scopes(table: Oriented) -> list[Scope]:
+    everything = np.ones(len(table), dtype=bool)
+    scopes = [Scope(everything)]
+    for number, mount in enumerate(table.mounts):
+        own = table.mount == number
+        if len(table.mounts) > 1:
+            scopes.append(Scope(own, (mount,)))
+        passes = np.unique(table.pass_number[own]).tolist()
+        if len(passes) > 1:
+            scopes += [Scope(own & (table.pass_number == p), (mount,), p) for p in passes]
+    return scopes
+
+
+def _swapped_channels(_: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+    for told, order in _ORDERS.items():
+        channels = tuple("xyz"[i] for i in range(3) if order[i] != i)
+        words = f"the channels {told} are exchanged {scope}; the copy has their signals put back"
+        yield Reinterpretation("swapped_channels", scope, words, channels, order=order)
+
+
+def _reversed_polarity(_: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+    for i, channel in enumerate("xyz"):
+        signs = [1.0, 1.0, 1.0]
+        signs[i] = -1.0
+        words = f"channel {channel} has the wrong sign {scope}, as with its wires reversed; the copy has it turned"
+        yield Reinterpretation(
+            "reversed_polarity", scope, words, (channel,), signs=(signs[0], signs[1], signs[2])
+        )
+
+
+def _reversed_rotation(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+    angle = np.where(scope.mask, -table.angle_rad, table.angle_rad)
+    words = f"the head counts the other way {scope}; the copy has its angles negated"
+    yield Reinterpretation("reversed_rotation", scope, words, angle_rad=angle)
+
+
+def _other_label(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+    """One mounting, or a pass of it, in another of the run's installations than stated."""
+    if scope.whole:
+        return
+    own = scope.mounts[0].installation
+    for other in table.labels:
+        if other != own:
+            label = np.where(scope.mask, other, table.label)
+            words = f"the block sat in installation {other} and not {scope}; the copy says so"
+            yield Reinterpretation("swapped_installations", scope, words, label=label)
+
+
+def _swapped_installations(table: Oriented) -> list[Reinterpretation]:
+    """Two installations exchanged, in the whole run or in the passes of one number."""
+    found = []
+    passes = np.unique(table.pass_number).tolist()
+    for one, other in combinations(table.labels, 2):
+        pair = np.isin(table.label, [one, other])
+        exchanged = np.where(table.label == one, other, np.where(table.label == other, one, table.label))
+        for number in [None, *(passes if len(passes) > 1 else [])]:
+            mask = pair if number is None else pair & (table.pass_number == number)
+            mounts = tuple(sorted(table.mounts[i] for i in np.unique(table.mount[mask])))
+            scope = Scope(mask, mounts, number)
+            told = "" if number is None else f" in pass {number}"
+            words = f"installations {one} and {other} are exchanged{told}; the copy has them put back"
+            label = np.where(mask, exchanged, table.label)
+            found.append(Reinterpretation("swapped_installations", scope, words, label=label))
+    return found
+
+
+def _shifted(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+    """Readings a row late or early, pass by pass or through a whole mounting; the head a stop behind or ahead."""
+    by_pass = [table.mount * (table.pass_number.max() + 1) + table.pass_number]
+    through = [] if scope.pass_number is not None else [table.mount]
+    for runs in by_pass + through:
+        for step, told in ((1, "late"), (-1, "early")):
+            source = _rows_aside(runs, scope.mask, step)
+            words = (
+                f"the readings stand one stop too {told} {scope}; the copy has them moved back, without the "
+                "stop that has none"
+            )
+            yield Reinterpretation("shifted_points", scope, words, source=source)
+    stop = _stop_rad(table, scope.mask)
+    if stop is not None:
+        for off, told in ((-stop, "behind"), (stop, "ahead")):
+            words = f"the head stood one stop {told} {scope}; the copy has its angles put right"
+            angle = np.where(scope.mask, table.angle_rad + off, table.angle_rad)
+            yield Reinterpretation("shifted_points", scope, words, angle_rad=angle)
+
+
+def _rows_aside(runs: Ints, mask: Bools, step: int) -> Ints:
+    """Return for each row the one `step` later in the same run of rows, -1 where there is none."""
+    source = np.arange(len(runs))
+    for run in np.unique(runs[mask]):
+        places = np.flatnonzero((runs == run) & mask)
+        moved = np.full(len(places), -1)
+        if step > 0:
+            moved[:-1] = places[1:]
+        else:
+            moved[1:] = places[:-1]
+        source[places] = moved
+    return source
+
+
+def _stop_rad(table: Oriented, mask: Bools) -> Floats | None:
+    """Return the signed angle (n,) from stop to stop of each row's pass, where all stops are equally wide."""
+    stops = np.zeros(len(table))
+    widths: list[float] = []
+    for mount, number in dict.fromkeys(zip(table.mount[mask], table.pass_number[mask], strict=True)):
+        own = mask & (table.mount == mount) & (table.pass_number == number)
+        steps = np.diff(table.angle_rad[own])
+        if not len(steps):
+            continue
+        # whole minutes: the scatter of the settings does not belong to a stop
+        stops[own] = np.radians(np.round(np.degrees(np.median(steps)) * 60) / 60)
+        widths += [*np.abs(steps), float(np.abs(np.median(steps)))]
+        if np.ptp(np.sign(steps)):
+            return None
+    if not widths or np.ptp(widths) > SAME_STOP or min(widths) < SAME_STOP:
+        return None
+    return stops
+
+
+def other_mountings(table: Oriented) -> list[Reinterpretation]:
+    """Return, for each installation, the 23 ways in which the block may sit otherwise (see `OTHER_MOUNTING`)."""
+    found = []
+    for label in table.labels:
+        mask = table.label == label
+        scope = Scope(mask, tuple(mount for mount in table.mounts if mount.installation == label))
+        for turn in _rotations():
+            found.append(Reinterpretation(OTHER_MOUNTING, scope, "", turns={label: turn}))
+    return found
+
+
+def _rotations() -> Sequence[Floats]:
+    """The 23 turns of a cube other than none."""
+    orders = [(0, 1, 2), *_ORDERS.values()]
+    signs = [np.array([a, b, c]) for a in (1.0, -1.0) for b in (1.0, -1.0) for c in (1.0, -1.0)]
+    turns = [np.diag(sign) @ np.eye(3)[list(order)] for order in orders for sign in signs]
+    return [turn for turn in turns if np.linalg.det(turn) > 0 and not np.allclose(turn, np.eye(3))]

@@ -1,0 +1,239 @@
+"""Mistakes of procedure and wiring, looked for before any effect: large, discrete, each with a correction.
+
+First what moves readings by volts (exchanged channels, the wrong installation …), then single readings that
+contradict the repeats of their own point. What is found is put right in a copy and the search goes on there,
+until nothing more is found. The record itself is never changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration.calibrate import usable_rows
+from bench.analysis.calibration.design import Problem, make_problem
+from bench.analysis.calibration.gls import noise_floor
+from bench.analysis.mistakes.describing import Description, Situation, descriptions, examine, situation, weigh
+from bench.analysis.mistakes.gross import GrossMistake, GrossSearch
+from bench.analysis.mistakes.reinterpretation import OTHER_MOUNTING, Oriented
+from bench.analysis.mistakes.single_readings import SingleMistake, find_single
+from bench.model import Block, ForwardModel
+from bench.readings.table import Readings
+
+Floats = NDArray[np.float64]
+
+MOST: Final = 5
+"""Mistakes of each of the two kinds that are put right one after another."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Root mean square misfit of all readings and of the data sheet, in units of the noise (1 is noise alone)."""
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake, where it was made, and how the copy has it put right.
+
+    `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
+    shifted_points, wrong_setting, outlier. No installation named means the whole run; they are written as
+    `str(Mount)`. `words` is a sentence; `p` counts all looks. `cannot_tell_from` are names of what looks
+    exactly alike in these readings ("other_mounting": the block sat on the platform otherwise).
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    installations: tuple[str, ...]
+    pass_number: int | None
+    point: int | None
+    words: str
+    p: float
+    cannot_tell_from: tuple[str, ...]
+    evidence: Evidence
+
+
+@dataclass(frozen=True)
+class MistakeSearch:
+    """The mistakes in the order in which they were put right, the corrected copy, and the number of looks.
+
+    In the copy a reading with an outlier is left out whole, named in `skipped`.
+    """
+
+    mistakes: tuple[Mistake, ...]
+    corrected: Readings
+    looks: int
+
+
+def find_mistakes(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    nominal_scale_factors: Floats | None,
+    significance: float = 1e-4,
+) -> MistakeSearch:
+    """Look for mistakes in a table of readings.
+
+    `stand_u` are standard uncertainties of the stand's angles by the names in `STAND_ANGLES`, rad;
+    `nominal_scale_factors` (3,) are those of the data sheet with their signs, in the unit of the signal per
+    g, or None: then a mistake that the coefficients take up (channels exchanged in the whole run) cannot be
+    seen. `significance` is the probability, all looks counted, of finding any single reading wrong where none
+    is. Raises `CalibrationError` where no row can be used or one is not a number.
+    """
+    usable_rows(readings, model)
+    nominal = None if nominal_scale_factors is None else np.asarray(nominal_scale_factors, dtype=np.float64)
+    stage = _Stage(model, stand_u, GrossSearch(model.installations, nominal))
+    found: list[Mistake] = []
+    copies = [readings]
+    looks = 0
+    for _ in range(MOST):
+        table = Oriented.of(copies[-1])
+        gross, more = stage.gross.find(table)
+        looks += more
+        if gross is None:
+            break
+        found.append(_told_gross(gross))
+        copies.append(gross.supposition.correct(copies[-1], table))
+    for _ in range(MOST):
+        view = stage.view(copies[-1])
+        singles, looks = find_single(view.problem, view.block, view.situation, looks, significance)
+        if not singles:
+            break
+        found += [_told_single(view, single) for single in singles]
+        before = copies[-1]
+        copies += [_put_right(before, view, singles[: k + 1]) for k in range(len(singles))]
+    return MistakeSearch(_with_evidence(stage, found, copies), copies[-1], looks)
+
+
+@dataclass(frozen=True)
+class _View:
+    """The oriented rows of a table before the fit; `block` is a first guess that wrong readings do not spoil."""
+
+    table: Oriented
+    problem: Problem
+    block: Block
+    floor: float
+    sheet: float
+    unit: str
+
+    @property
+    def situation(self) -> Situation:
+        return situation(self.problem, self.block, self.table.signal, self.floor)
+
+    @property
+    def model(self) -> Description:
+        return descriptions(self.problem, self.block).ladder[0]
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """The model, the stand and the data sheet."""
+
+    model: ForwardModel
+    stand_u: Mapping[str, float]
+    gross: GrossSearch
+
+    def view(self, readings: Readings) -> _View:
+        """Look at a table; `sheet` is how far the coefficients lie from the data sheet, as a chi-square."""
+        table = Oriented.of(readings)
+        problem = make_problem(self.model, readings.oriented().conditions(), self.stand_u)
+        block, sheet = self.gross.first_guess(table)
+        floor = noise_floor(problem, table.signal, readings.resolution)
+        return _View(table, problem, block, floor, sheet, readings.unit)
+
+
+def _told_gross(gross: GrossMistake) -> Mistake:
+    supposition = gross.supposition
+    names = dict.fromkeys(other.name for other in gross.equal if other.name != supposition.name)
+    elsewhere = [other for other in gross.equal if other.name == supposition.name]
+    also = [f"{name} (the block sat otherwise)" if name == OTHER_MOUNTING else name for name in names]
+    also += [f"the same {other.scope}" for other in elsewhere]
+    alike = f"; these readings cannot tell it from {', '.join(dict.fromkeys(also))}" if also else ""
+    return Mistake(
+        name=supposition.name,
+        channels=supposition.channels,
+        installations=tuple(str(mount) for mount in supposition.scope.mounts),
+        pass_number=supposition.scope.pass_number,
+        point=None,
+        words=supposition.words + alike,
+        p=gross.p,
+        cannot_tell_from=tuple(names),
+        evidence=Evidence(np.nan, np.nan),
+    )
+
+
+def _told_single(view: _View, single: SingleMistake) -> Mistake:
+    conditions = view.problem.conditions
+    mount = str(conditions.mounts[conditions.mount[single.row]])
+    number, point = int(conditions.pass_number[single.row]), int(conditions.point[single.row])
+    return Mistake(
+        name="outlier" if single.off_rad is None else "wrong_setting",
+        channels=single.channels,
+        installations=(mount,),
+        pass_number=number,
+        point=point,
+        words=f"installation {mount}, pass {number}, point {point}: {_single_words(view, single)}",
+        p=single.p,
+        cannot_tell_from=("outlier",) if single.as_outlier and single.off_rad is not None else (),
+        evidence=Evidence(np.nan, np.nan),
+    )
+
+
+def _single_words(view: _View, single: SingleMistake) -> str:
+    stated = float(np.degrees(view.table.angle_rad[single.row]))
+    if single.off_rad is not None:
+        words = (
+            f"the signals stand as if the head had been at {stated + np.degrees(single.off_rad):.7g}° and not at "
+            f"{stated:.7g}°; the copy has the angle put right"
+        )
+        if single.as_outlier:
+            words += f" (an outlier of channel {single.channels[0]} would look the same)"
+        return words
+    off = ", ".join(
+        f"{c} by {v:+.3g} {view.unit}"
+        for c, v in zip("xyz", single.shift, strict=True)
+        if c in single.channels
+    )
+    return (
+        f"channel {off} off what the other readings let expect ({single.sigma:.0f} standard deviations); "
+        "the copy leaves the reading out"
+    )
+
+
+def _put_right(readings: Readings, view: _View, singles: Sequence[SingleMistake]) -> Readings:
+    """Return a copy with the angles of wrong settings put right, and without the readings with an outlier."""
+    angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
+    skipped = list(readings.skipped)
+    for single in singles:
+        row = view.table.rows[single.row]
+        if single.off_rad is None:
+            kept[row] = False
+            skipped.append(_told_single(view, single).words.split(";")[0])
+        else:
+            angle[row] += single.off_rad
+    return replace(readings, angle_rad=angle, skipped=tuple(skipped)).select(kept)
+
+
+def _with_evidence(
+    stage: _Stage, found: Sequence[Mistake], copies: Sequence[Readings]
+) -> tuple[Mistake, ...]:
+    """Say of each mistake how far readings and data sheet were from the model before and after, in noise."""
+    if not found:
+        return ()
+    views = [stage.view(copy) for copy in copies]
+    situations = [v.situation for v in views]
+    noise = examine(views[-1].model, situations[-1], None, 0).noise
+    sizes = [
+        float(np.sqrt((weigh(v.model, s, noise).chi2 + v.sheet) / s.left.size))
+        for v, s in zip(views, situations, strict=True)
+    ]
+    return tuple(
+        replace(mistake, evidence=Evidence(before, after))
+        for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
+    )

@@ -1,0 +1,304 @@
+"""Test points for a bench: in which installations, at which angles, how often each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.budget import Setup, make_budget
+from bench.analysis.budget.sources import stand_source
+from bench.analysis.calibration.design import FIXED, make_problem
+from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
+from bench.analysis.calibration.result import CalibrationError, Noise
+from bench.analysis.planning.exchange import Candidates, Design, best_of, fewest, least_settings, widening
+from bench.analysis.planning.goals import Goal, worst
+from bench.analysis.planning.settings import Cost, Setting, conditions_of
+from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mount
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_ROUNDS: Final = 4
+"""Searches until the goals are reached with the noise that repeats and residuals will really tell."""
+
+
+@dataclass(frozen=True)
+class Stand:
+    """The bench as planning sees it: model, block, standard uncertainties of the stand errors, rad and V."""
+
+    model: ForwardModel
+    block: Block
+    sizes: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        if not self.sizes.get("voltmeter_error", 0.0) > 0:
+            raise CalibrationError(
+                "the bench file states no voltmeter_error, so that one reading would be as good as many; "
+                "state its size in the section 'stand'"
+            )
+
+    @property
+    def noise(self) -> Noise:
+        """What is fresh at each reading and at each setting of the head."""
+        return Noise(self.sizes["voltmeter_error"], self.sizes.get("setting_error", 0.0), np.inf, "given")
+
+    def unknowns(self, mounts: int) -> int:
+        """Number of unknowns of a fit to readings in so many mountings."""
+        return FIXED + mounts * sum(name in STAND_ANGLES and u > 0 for name, u in self.sizes.items())
+
+    def covariance(self, settings: Sequence[Setting]) -> Floats:
+        """Return the covariance (12, 12) that `bench calibrate` will state from readings at these settings.
+
+        By generalised least squares, the noise widened by how well the readings themselves will tell it. Raises
+        `CalibrationError` where they do not determine the coefficients.
+        """
+        setup = Setup(self.model, conditions_of(settings), self.block)
+        wider = widening(self._freedom(setup.conditions))
+        fresh = {name: wider * u for name, u in self.sizes.items() if name not in STAND_ANGLES}
+        sizes = {**self.sizes, **fresh}
+        sources = [stand_source(name, Distribution(u)) for name, u in sizes.items() if u > 0]
+        return make_budget(setup, sources, "gls").combined.covariance
+
+    def _freedom(self, conditions: Conditions) -> int:
+        """Degrees of freedom with which the noise will be told: by repeats where there are enough of them."""
+        again = repeats(conditions)
+        if again >= LEAST_REPEATS:
+            return 3 * again
+        return 3 * len(conditions) - self.unknowns(len(conditions.mounts))
+
+
+def repeats(conditions: Conditions) -> int:
+    """Return how many readings repeat an earlier one: same mounting, point and direction of approach."""
+    return len(conditions) - (int(repeat_groups(conditions).max()) + 1)
+
+
+class Sites:
+    """Everywhere that the head may stand: each of `mounts` at each of the angles `angle_rad` (a,)."""
+
+    def __init__(self, stand: Stand, mounts: Sequence[Mount], angle_rad: Floats) -> None:
+        self.mounts = tuple(mounts)
+        self._kind = _kinds(stand.model, mounts, angle_rad)
+        self.angle_rad = angle_rad
+        settings = [Setting(m, 1, i, angle, 1) for m in mounts for i, angle in enumerate(angle_rad, start=1)]
+        problem = make_problem(stand.model, conditions_of(settings), stand.sizes)
+        linear = problem.linear(stand.block, problem.prior_mean)
+        scale = np.concatenate([np.ones(FIXED), problem.prior_u])
+        self._rows = whiten(linear.jacobian, linear.slope, stand.noise) * scale
+        self._mount_of_column = np.array([s.mount for s in problem.stand], dtype=np.int64)
+
+    def candidates(self, chosen: Sequence[int]) -> Candidates:
+        """Return the candidates in some of the mountings, by their numbers, angle by angle."""
+        rows = np.concatenate([np.arange(len(self.angle_rad)) + m * len(self.angle_rad) for m in chosen])
+        columns = np.concatenate(
+            [np.arange(FIXED), FIXED + np.flatnonzero(np.isin(self._mount_of_column, chosen))]
+        )
+        return Candidates(self._rows[np.ix_(rows, np.arange(3), columns)])
+
+    def choices(self, most: int) -> Iterator[tuple[int, ...]]:
+        """Yield the numbers of mountings to combine, few first, without those that come to the same.
+
+        Mountings come to the same where the same axes of the block lie along the shaft and across it, however
+        they point: the angles that one needs, the other has elsewhere in the turn.
+        """
+        for size in range(1, min(most, len(self.mounts)) + 1):
+            for chosen in combinations(range(len(self.mounts)), size):
+                if all(
+                    m == 0 or self._kind[m] not in self._kind[:m] or self._before(m) in chosen for m in chosen
+                ):
+                    yield chosen
+
+    def _before(self, mount: int) -> int:
+        """The mounting of the same kind before one."""
+        return max(m for m in range(mount) if self._kind[m] == self._kind[mount])
+
+
+def _kinds(model: ForwardModel, mounts: Sequence[Mount], angle_rad: Floats) -> list[tuple[float, ...]]:
+    """A key for each mounting, the same where they come to the same; each its own where the turn is not whole."""
+    turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
+    if len(np.unique(np.round(turned, 6))) > len(angle_rad):
+        return [(float(i),) for i in range(len(mounts))]
+    turns = (model.installations[m.installation].block_from_platform for m in mounts)
+    return [tuple((np.round(np.abs(turn), 6) + 0.0).ravel().tolist()) for turn in turns]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Chosen test points: how often each angle is visited in each mounting, with the goals that they serve."""
+
+    visits: Mapping[Mount, Mapping[float, int]]
+    goals: tuple[Goal, ...]
+    covariance: Floats
+    cost: Cost
+
+    @property
+    def count(self) -> int:
+        """How many settings there are."""
+        return sum(sum(angles.values()) for angles in self.visits.values())
+
+    @property
+    def time_s(self) -> float:
+        """Expected bench time, s."""
+        return self.cost.total_s(self.count, len(self.visits))
+
+    @property
+    def worst(self) -> Goal:
+        """The goal that is furthest from reached."""
+        return worst(self.goals, self.covariance)
+
+    @property
+    def reached(self) -> bool:
+        """Whether every goal is reached."""
+        return self.worst.ratio(self.covariance) <= 1 + 1e-9
+
+    @property
+    def fit_is_tested(self) -> bool:
+        """Whether there are repeats enough for the lack-of-fit test of a calibration."""
+        return repeats(conditions_of(self.settings())) >= LEAST_REPEATS
+
+    def settings(self) -> list[Setting]:
+        """Return the settings in the order of measurement."""
+        return [s for mount, angles in self.visits.items() for s in _in_order(mount, angles)]
+
+
+@dataclass(frozen=True)
+class Passes:
+    """Points of one mounting that are visited equally often, numbered on from `first_point`."""
+
+    first_point: int
+    angle_rad: tuple[float, ...]
+    directions: tuple[int, ...]
+
+
+def passes(angles: Mapping[float, int]) -> list[Passes]:
+    """Group angles by how often they are visited; each pass starts where the one before it ended."""
+    found, first, direction = [], 1, 1
+    for times in sorted(set(angles.values()), reverse=True):
+        own = tuple(sorted(angle for angle, visits in angles.items() if visits == times))
+        directions = tuple(direction * (-1) ** i for i in range(times))
+        found.append(Passes(first, own, directions))
+        first, direction = first + len(own), -directions[-1]
+    return found
+
+
+def _in_order(mount: Mount, angles: Mapping[float, int]) -> Iterator[Setting]:
+    for group in passes(angles):
+        points = list(enumerate(group.angle_rad, start=group.first_point))
+        for number, direction in enumerate(group.directions, start=1):
+            for point, angle in points if direction > 0 else reversed(points):
+                yield Setting(mount, number, point, angle, direction)
+
+
+# --- the search -------------------------------------------------------------------------------------
+
+
+_Found = tuple[tuple[int, ...], Design]
+
+
+def cheapest(
+    stand: Stand, sites: Sites, goals: Sequence[Goal], cost: Cost, most_settings: int, most_mounts: int
+) -> Points:
+    """Return the points that reach all goals in the least expected time found.
+
+    Raises `CalibrationError` where no choice of mountings reaches them, with the reason.
+    """
+    tightened = list(goals)
+    for _ in range(_ROUNDS):
+        found = _cheapest(sites, tightened, cost, most_settings, most_mounts)
+        if found is None:
+            break
+        points = _points(stand, sites, *found, goals, cost)
+        if points.reached:
+            return points
+        by = points.worst.ratio(points.covariance)
+        tightened = [replace(goal, asked=goal.asked / by) for goal in tightened]
+    raise CalibrationError(_unreachable(sites, goals, most_settings, most_mounts))
+
+
+def _cheapest(
+    sites: Sites, goals: Sequence[Goal], cost: Cost, most_settings: int, most_mounts: int
+) -> _Found | None:
+    best: tuple[float, _Found] | None = None
+    for chosen in sites.choices(most_mounts):
+        left = most_settings
+        if best is not None:
+            left = min(left, cost.settings_within(best[0], len(chosen)))
+        design = fewest(sites.candidates(chosen), goals, len(chosen), left)
+        if design is not None:
+            time_s = cost.total_s(design.settings, len(chosen))
+            if best is None or (time_s, design.largest) < (best[0], best[1][1].largest):
+                best = time_s, (chosen, design)
+    return None if best is None else best[1]
+
+
+def best_within(
+    stand: Stand, sites: Sites, goals: Sequence[Goal], cost: Cost, time_s: float, most_mounts: int
+) -> Points:
+    """Return the points that come nearest to the goals within a time.
+
+    Raises `CalibrationError` where it is too short for a calibration.
+    """
+    best: tuple[float, _Found] | None = None
+    least_s = math.inf
+    for chosen in sites.choices(most_mounts):
+        candidates = sites.candidates(chosen)
+        whole = Design(candidates, goals)
+        if not whole.determines:
+            continue
+        least_s = min(least_s, cost.total_s(least_settings(candidates), len(chosen)))
+        count = cost.settings_within(time_s, len(chosen))
+        if count < least_settings(candidates) or (best is not None and whole.limit() >= best[0]):
+            continue
+        design = best_of(candidates, goals, len(chosen), count)
+        if best is None or design.largest < best[0]:
+            best = design.largest, (chosen, design)
+    if best is None:
+        raise CalibrationError(_too_short(time_s, least_s))
+    return _points(stand, sites, *best[1], goals, cost)
+
+
+def _too_short(time_s: float, least_s: float) -> str:
+    if math.isinf(least_s):
+        return "no choice of these installations determines the coefficients; allow more of them, or more mountings"
+    return (
+        f"{time_s / 3600:.3g} h are too short for a calibration: the shortest takes {least_s / 3600:.3g} h, "
+        "warm-up and verification points included"
+    )
+
+
+def _unreachable(sites: Sites, goals: Sequence[Goal], most_settings: int, most_mounts: int) -> str:
+    designs = [(Design(sites.candidates(chosen), goals), chosen) for chosen in sites.choices(most_mounts)]
+    limits = [(design.limit(), chosen) for design, chosen in designs if design.determines]
+    if not limits:
+        return _too_short(0.0, math.inf)
+    ratio, chosen = min(limits)
+    told = ", ".join(str(sites.mounts[m]) for m in chosen)
+    if ratio <= 1:
+        return (
+            f"not reached with {most_settings} settings, though installations {told} could with more; "
+            "allow more with --most-settings, or more samples a reading (a smaller voltmeter_error)"
+        )
+    return (
+        f"cannot be reached by any number of settings: in the best choice of mountings ({told}) the stand's errors "
+        f"alone leave {ratio:.3g} times what is asked; smaller stand errors, more installations or more --visits "
+        "would help"
+    )
+
+
+def _points(
+    stand: Stand, sites: Sites, chosen: Sequence[int], design: Design, goals: Sequence[Goal], cost: Cost
+) -> Points:
+    """The chosen points in order, with their covariance as the estimator itself has it."""
+    counts = design.counts.reshape(len(chosen), len(sites.angle_rad))
+    visits = {
+        sites.mounts[m]: {float(sites.angle_rad[i]): int(row[i]) for i in np.flatnonzero(row)}
+        for m, row in zip(chosen, counts, strict=True)
+        if row.any()
+    }
+    settings = [s for mount, angles in visits.items() for s in _in_order(mount, angles)]
+    return Points(visits, tuple(goals), stand.covariance(settings), cost)

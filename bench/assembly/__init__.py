@@ -1,0 +1,1 @@
+"""Where instruments are put together: drivers, and the simulated bench behind them."""

@@ -1,0 +1,183 @@
+"""The composition root: the only place that knows both the drivers and the simulation.
+
+A real bench is drivers on the resources of the bench file and a person at the terminal; a dry run is the
+very same drivers on resources that lead to simulated instruments, a scripted operator and a virtual clock.
+
+What carries the messages of a dry run: an instrument on a serial port is reached over a pseudo-terminal,
+where the system has these and the port 8 data bits, and one behind a GPIB adapter through a simulated
+adapter, so that those paths of the drivers are gone through, too. All others go over plain sockets. That
+holds for GPIB boards, whose driver of the system nothing stands for: pyvisa-py's own detour through an
+adapter gives a reading 50 ms to come, and so proves nothing of a bench whose readings take seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from bench.assembly.real import Surroundings, instruments_of
+from bench.assembly.simulated import (
+    buses_of,
+    faults_of,
+    on_terminals,
+    operator_of,
+    simulated_instruments,
+    world_of,
+)
+from bench.files.bench.file import BenchFile
+from bench.model import ForwardModel
+from bench.procedure.plan import Plan, Read
+from bench.procedure.steps import in_scan_order, read_order
+from bench.readings.table import REFERENCE, SHORTED, scan_order
+from bench.run.record import Event
+from bench.run.runner import Observer
+from bench.run.workbench import Instruments
+from drivers.clock import Clock, SystemClock
+from drivers.interfaces import BenchError, Person, Voltmeter
+from drivers.wire.visa import Wire
+from sim.bench import SimulatedBench
+from sim.wires.control import Control
+from sim.wires.pty import TERMINALS
+from sim.wires.server import TcpServer
+from sim.wires.session import Instrument as Wired
+from sim.world.clock import ScaledClock, VirtualClock
+from sim.world.operator import ScriptedOperator
+from sim.world.world import World
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A bench put together: instruments, who answers prompts, the clock, and who watches the run."""
+
+    instruments: Instruments
+    person: Person
+    clock: Clock
+    observers: tuple[Observer, ...] = ()
+    at_resumed_time: Callable[[float], None] | None = None
+
+
+def real_bench(bench: BenchFile, person: Person, wire: Wire | None = None) -> Assembly:
+    """Put the bench of a bench file together; nothing is opened yet."""
+    clock = SystemClock()
+    instruments = instruments_of(bench, Surroundings(person, clock, bench.line_frequency, wire))
+    return Assembly(instruments, person, clock)
+
+
+@contextmanager
+def dry_bench(
+    bench: BenchFile,
+    model: ForwardModel,
+    seed: int,
+    wire: Wire | None = None,
+    *,
+    plan: Plan | None = None,
+    taken: Sequence[Mapping[str, Any]] = (),
+) -> Iterator[Assembly]:
+    """Put a simulated bench together: the bench file's stand and block as truth, `model` with its effects.
+
+    Of the steps of `plan` the world learns in which order they read the channels. `taken` are the readings on
+    record of a run to be resumed, as its events have them: effects look back to them.
+    Raises `BenchError` for a fault in the bench file that its instrument cannot have.
+    """
+    clock = VirtualClock()
+    world = world_of(bench, model, seed, clock)
+    operator = ScriptedOperator(world, operator_of(bench))
+
+    def key_world(event: Event) -> None:
+        """Tell the world which step goes on, so that its random numbers belong to the step."""
+        if event.type == "step_started":
+            attempt = int(event.data["attempt"])
+            key = str(event.data["key"])
+            scan = scan_of(int(event.data["step"]), instruments.voltmeters)
+            world.begin_step(key if attempt == 1 else f"{key}@{attempt}", scan)
+
+    def scan_of(index: int, meters: Sequence[Voltmeter]) -> tuple[int, ...]:
+        """Return the channels in the order in which a step reads them."""
+        step = None if plan is None else plan.steps[index]
+        return scan_order(read_order(in_scan_order(meters, step.scan if isinstance(step, Read) else "")))
+
+    terminals = on_terminals(bench) if TERMINALS else ()
+    with _simulated(bench, world, with_terminals=terminals) as simulated:
+        ports = {name: simulated.terminals[name].resource for name in terminals}
+        given = Surroundings(operator, clock, bench.line_frequency, wire, simulated.resources | ports)
+        instruments = instruments_of(bench, given)
+        _recall(world, taken)
+        yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)
+
+
+def _recall(world: World, taken: Sequence[Mapping[str, Any]]) -> None:
+    """Tell a world the readings on record; a free position, of which nobody knows how it was, is none to it."""
+    for row in taken:
+        label, angle_deg = str(row["installation"]), row["angle_deg"]
+        at_inputs = {SHORTED: 0.0, REFERENCE: row.get("reference_v")}
+        if label not in at_inputs and (label not in world.settings.model.installations or angle_deg is None):
+            continue
+        world.recall(
+            None if label in at_inputs else label,
+            int(row["series"]),
+            math.radians(angle_deg or 0.0),
+            row["direction"] or None,
+            float(row["time_s"]),
+            block_c=row["temperature_c"],
+            input_v=at_inputs.get(label),
+            scan=scan_order(row.get("scan_order") or ""),
+        )
+
+
+@dataclass(frozen=True)
+class Serving:
+    """A simulated bench as other programs see it: who is where, and where it is controlled."""
+
+    instruments: tuple[Mapping[str, str | None], ...]
+    control: str
+
+
+@contextmanager
+def served_bench(
+    bench: BenchFile,
+    model: ForwardModel,
+    seed: int,
+    *,
+    speed: float = 1.0,
+    host: str = "127.0.0.1",
+    first_port: int = 0,
+    with_terminals: bool = True,
+) -> Iterator[Serving]:
+    """Serve the instruments of a bench file that have a wire, on a clock `speed` times the real one's.
+
+    Raises `BenchError` when a port is taken, or for a fault that its instrument cannot have.
+    """
+    simulated = _simulated(
+        bench,
+        world_of(bench, model, seed, ScaledClock(speed)),
+        host=host,
+        first_port=first_port,
+        with_terminals=with_terminals and TERMINALS,
+    )
+    with simulated, TcpServer(Wired(Control(simulated)), host=host) as control:
+        yield Serving(tuple(simulated.addresses()), control.address)
+
+
+def _simulated(
+    bench: BenchFile,
+    world: World,
+    *,
+    with_terminals: bool | tuple[str, ...],
+    host: str = "127.0.0.1",
+    first_port: int = 0,
+) -> SimulatedBench:
+    try:
+        return SimulatedBench(
+            world,
+            simulated_instruments(bench, world),
+            host=host,
+            first_port=first_port,
+            with_terminals=with_terminals,
+            buses=buses_of(bench),
+            faults=faults_of(bench),
+        )
+    except ValueError as error:
+        raise BenchError("simulation", str(error), "mend the faults in the bench file") from error

@@ -1,0 +1,1 @@
+"""What every room stands on: units, numbers in words, forms that read files that people write."""

@@ -1,0 +1,234 @@
+"""YAML files that people write: read with the line of every key, validated with all mistakes at once.
+
+Scalars keep the text that was written (`serial: 0012` stays "0012", `3e-4 g` a quantity); the models of
+`bench.files.bench.file` and others say what each must be.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from bench.base.form_mistakes import Place, told_errors
+
+_PLAIN_TAGS: Final = frozenset(
+    f"tag:yaml.org,2002:{name}"
+    for name in ("str", "int", "float", "bool", "null", "timestamp", "seq", "map", "merge", "value")
+)
+_NULL: Final = "tag:yaml.org,2002:null"
+
+
+@dataclass(frozen=True, order=True)
+class Mistake:
+    """One mistake: line (1…, 0 where there is none), place ("stand.axis_tilt.limit"), what is wrong.
+
+    `file` is the included file that it stands in, empty for the file that was asked for.
+    """
+
+    line: int
+    place: str
+    text: str
+    file: str = ""
+
+
+class FileMistakes(Exception):
+    """A file that cannot be used. Its text has a line for each mistake: "file:line: place: what is wrong"."""
+
+    def __init__(self, path: Path | str, mistakes: Iterable[Mistake]) -> None:
+        self.path = Path(path)
+        self.mistakes = tuple(mistakes)
+        super().__init__("\n".join(self._told(mistake) for mistake in self.mistakes))
+
+    def _told(self, mistake: Mistake) -> str:
+        where = f"{mistake.file or self.path}" + (f":{mistake.line}" if mistake.line else "")
+        return ": ".join(part for part in (where, mistake.place, mistake.text) if part)
+
+
+class FileModel(BaseModel):
+    """Base of everything that a file may say: frozen, an unknown key is a mistake, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, str_min_length=1)
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield mistakes that are between parts of the file, each with its place; none for most.
+
+        `data` is the file as written, with whatever else is wrong in it: what cannot be read is passed over.
+        """
+        return ()
+
+
+@dataclass
+class Document:
+    """A file's content: mappings, lists and texts (None for nothing), with the line of every place."""
+
+    path: Path
+    data: Any
+    sha256: str
+    lines: dict[Place, int] = field(default_factory=dict)
+    mistakes: list[Mistake] = field(default_factory=list)
+
+    def line_of(self, place: Place) -> int:
+        """Return the line of a place, or of the nearest place around it that was written."""
+        for end in range(len(place), -1, -1):
+            if place[:end] in self.lines:
+                return self.lines[place[:end]]
+        return 0
+
+    def mistake(self, place: Place, text: str) -> Mistake:
+        """Return a mistake at a place of this file."""
+        return Mistake(self.line_of(place), told_place(place), text)
+
+
+def told_place(place: Place) -> str:
+    """Return a place as a person reads it: `instruments.voltmeters[1].resource`, lists counted from 1."""
+    told = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
+    return told.removeprefix(".")
+
+
+def sha256_of_file(path: Path) -> str:
+    """Return the SHA-256 of the file's bytes, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- reading ----------------------------------------------------------------------------------------
+
+
+def load_document(path: Path) -> Document:
+    """Read a file with its lines; duplicate keys, aliases and tags are noted in `mistakes`.
+
+    Raises `FileMistakes` where the file is missing, is not UTF-8 text, is empty or is not YAML.
+    """
+    content = _content(path)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise FileMistakes(
+            path, [Mistake(line, "", "the file is not UTF-8 text; save it as UTF-8 and try again")]
+        ) from None
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        context = f" {error.context}" if error.context else ""
+        problem = f"this is not YAML: {error.problem or 'it cannot be read'}{context}"
+        raise FileMistakes(path, [Mistake(mark.line + 1 if mark else 0, "", _hinted(problem))]) from None
+    except (yaml.YAMLError, RecursionError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "it cannot be read"
+        raise FileMistakes(path, [Mistake(0, "", f"this is not YAML: {reason}")]) from None
+    if node is None or node.tag == _NULL:
+        raise FileMistakes(
+            path, [Mistake(0, "", "the file is empty; 'bench init' writes files to start from")]
+        )
+    document = Document(path, None, hashlib.sha256(content).hexdigest(), {(): node.start_mark.line + 1})
+    document.data = _plain(node, (), document, set())
+    return document
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        text = "there is no such file; check the name"
+    except IsADirectoryError:
+        text = "this is a folder; name a file in it"
+    except OSError as error:
+        text = f"the file cannot be read ({error.strerror})"
+    raise FileMistakes(path, [Mistake(0, "", text)])
+
+
+def _hinted(problem: str) -> str:
+    """Add what usually is behind the parser's complaint."""
+    if "'\\t'" in problem:
+        return f"{problem}; indent with spaces, not with tabs"
+    if "mapping values are not allowed" in problem:
+        return f"{problem}; put a text with a colon in quotes, and check the indentation"
+    if "expected <block end>" in problem:
+        return f"{problem}; check the indentation of this line"
+    return problem
+
+
+def _plain(node: yaml.Node, place: Place, document: Document, seen: set[int]) -> Any:
+    """Turn a node into mappings, lists and texts, noting the line of every place below it."""
+    line = node.start_mark.line + 1
+    if id(node) in seen:
+        problem = "anchors and aliases (& and *) are not understood here; write the value out"
+        document.mistakes.append(Mistake(line, told_place(place), problem))
+        return None
+    seen.add(id(node))
+    if node.tag not in _PLAIN_TAGS:
+        document.mistakes.append(
+            Mistake(line, told_place(place), f"the tag {node.tag!r} is not understood; leave it out")
+        )
+    if isinstance(node, yaml.MappingNode):
+        return _plain_mapping(node, place, document, seen)
+    if isinstance(node, yaml.SequenceNode):
+        items = []
+        for index, item in enumerate(node.value):
+            document.lines[(*place, index)] = item.start_mark.line + 1
+            items.append(_plain(item, (*place, index), document, seen))
+        return items
+    return None if node.tag == _NULL else node.value
+
+
+def _plain_mapping(
+    node: yaml.MappingNode, place: Place, document: Document, seen: set[int]
+) -> dict[str, Any]:
+    mapping: dict[str, Any] = {}
+    for key, value in node.value:
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            document.mistakes.append(Mistake(line, told_place(place), "a key must be a plain word"))
+            continue
+        inside = (*place, key.value)
+        if key.value in mapping:
+            first = document.lines[inside]
+            text = f"'{key.value}' stands here a second time, first in line {first}; leave one out"
+            document.mistakes.append(Mistake(line, told_place(place), text))
+            continue
+        document.lines[inside] = line
+        mapping[key.value] = _plain(value, inside, document, seen)
+    return mapping
+
+
+# --- validating -------------------------------------------------------------------------------------
+
+Model = TypeVar("Model", bound=FileModel)
+
+
+def load_validated(path: Path, model: type[Model]) -> Model:
+    """Read a file and return it as `model`. Raises `FileMistakes` with every mistake in it."""
+    return validated(load_document(path), model)
+
+
+def validated(document: Document, model: type[Model]) -> Model:
+    """Return a document's content as `model`. Raises `FileMistakes` with every mistake in it."""
+    mistakes = list(document.mistakes)
+    result = None
+    try:
+        result = model.model_validate(document.data)
+    except ValidationError as error:
+        mistakes += [
+            document.mistake(place, text) for place, text in told_errors(error, model, document.lines)
+        ]
+    mistakes += [document.mistake(place, text) for place, text in model.cross_checks(document.data)]
+    if result is None or mistakes:
+        raise FileMistakes(document.path, sorted(set(mistakes)))
+    return result
+
+
+def part(data: Any, *place: str | int) -> Any:
+    """Return what stands at a place below `data`, or None where there is nothing (for cross checks)."""
+    for step in place:
+        entries = dict(enumerate(data)) if isinstance(data, list) else data
+        if not isinstance(entries, dict) or step not in entries:
+            return None
+        data = entries[step]
+    return data

@@ -1,0 +1,190 @@
+"""compare: calibrations of one block over time, from results, runs or readings files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from bench.analysis.history import Changes, Comparison, Drift, Snapshot, compare
+from bench.base.numbers import fixed, places, probability
+from bench.cli import CommandError, printing
+from bench.cli.analyse import calibration_of
+from bench.cli.coefficients import coefficients_of
+from bench.cli.source import Request, check_target, load_sources, to_text, write_json, write_whole
+from bench.model.block import COEFFICIENTS
+from bench.run.record import MANIFEST
+
+
+def compare_calibrations(request: Request, dates: Sequence[str], target: str | None, *, strict: bool) -> int:
+    """Carry out `bench compare`; 1 with `strict` when something changed beyond its uncertainty."""
+    check_target(target)
+    snapshots = [snapshot for name in request.sources for snapshot in _snapshots(name, request)]
+    if dates:
+        snapshots = _dated(snapshots, dates)
+    result = compare(snapshots)
+    out = printing.console(json=target)
+    _print(result, out)
+    if request.out is not None:
+        _write(request.out, result, out)
+    write_json([result.to_json()], target)
+    return 1 if strict and result.changed else 0
+
+
+def _snapshots(name: str, request: Request) -> list[Snapshot]:
+    """Return the calibration of a run or readings file, or those in a result of `calibrate --json`."""
+    path = Path(name)
+    if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
+        return _from_json(path)
+    (source,) = load_sources(replace(request, sources=[name]))
+    result = calibration_of(source)
+    return [
+        Snapshot(
+            name,
+            _date(source.made_at, name),
+            source.block_name,
+            result.unit,
+            result.g_m_s2,
+            result.block.vector,
+            result.covariance,
+            source.simulated,
+        )
+    ]
+
+
+def _from_json(path: Path) -> list[Snapshot]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except ValueError as error:
+        raise CommandError(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+    results = data if isinstance(data, list) else [data]
+    return [_from_result(result, path, k if len(results) > 1 else 0) for k, result in enumerate(results, 1)]
+
+
+def _from_result(data: Any, path: Path, number: int) -> Snapshot:
+    name = f"{path}, result {number}" if number else str(path)
+    found = coefficients_of(data, name)
+    block = data.get("unit_under_test") or {}
+    return Snapshot(
+        name,
+        _date(data.get("made_at"), name),
+        f"{block.get('type', '')} {block.get('serial', '')}".strip(),
+        found.unit,
+        found.g_m_s2,
+        found.block.vector,
+        found.covariance,
+        found.simulated,
+    )
+
+
+def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
+    if len(dates) != len(snapshots):
+        raise CommandError(
+            f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in their order"
+        )
+    return [replace(s, when=_date(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
+
+
+def _date(text: str | None, where: str) -> datetime | None:
+    """Return a date as it is written (ISO 8601), in UTC where it names no zone."""
+    if not text:
+        return None
+    try:
+        date = datetime.fromisoformat(text)
+    except (ValueError, TypeError):
+        raise CommandError(f"{where}: expected a date such as 2026-01-31, got {text!r}") from None
+    return date if date.tzinfo else date.replace(tzinfo=UTC)
+
+
+def _print(result: Comparison, out: Console) -> None:
+    first = result.first
+    out.print(f"Against {_told(first)}: {first.unit}/g (biases {first.unit}), g = {first.g_m_s2:.6g} m/s²")
+    for changes in result.changes:
+        out.print(f"{_told(changes.later)}:")
+        out.print(_changes_table(changes))
+        out.print(f"all twelve together: chi2 {changes.chi2:.1f} for 12, {probability(changes.p)}")
+    if result.drift is not None:
+        out.print("drift (weighted straight lines):")
+        out.print(_drift_table(result.drift))
+        out.print(
+            f"what the lines leave: chi2 {result.drift.chi2:.1f} for {result.drift.dof}, "
+            f"{probability(result.drift.p)}"
+        )
+    for note in result.notes:
+        out.print(f"note: {note}")
+    names = sorted(
+        {n for c in result.changes for n, is_so in zip(COEFFICIENTS, c.changed, strict=True) if is_so}
+    )
+    if names:
+        verdict = f"CHANGED beyond the uncertainty (5 %, all looks counted): {', '.join(names)}"
+    elif result.changed:
+        verdict = "CHANGED: no single coefficient, but all of them together"
+    else:
+        verdict = "nothing changed beyond its uncertainty"
+    out.print(f"{verdict}; all calibrations alike: {probability(result.p_constant)}", style="bold")
+
+
+def _told(snapshot: Snapshot) -> str:
+    when = f" ({snapshot.when:%Y-%m-%d})" if snapshot.when else ""
+    return f"{snapshot.name}{when}"
+
+
+def _changes_table(changes: Changes) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for heading in ("coefficient", "difference", "U (k=2)", "En", "p, all looks"):
+        table.add_column(heading, justify="left" if heading == "coefficient" else "right")
+    table.add_column("")
+    rows = zip(
+        COEFFICIENTS,
+        changes.difference,
+        changes.u,
+        changes.en,
+        changes.p_all_looks,
+        changes.changed,
+        strict=True,
+    )
+    for name, difference, u, en, p, changed in rows:
+        digits = places(float(2 * u))
+        table.add_row(
+            name,
+            fixed(difference, digits, sign=True),
+            fixed(2 * u, digits),
+            f"{en:.2f}",
+            f"{p:.2g}",
+            "CHANGED" if changed else "",
+        )
+    return table
+
+
+def _drift_table(drift: Drift) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for heading in ("coefficient", "per year", "U (k=2)", "p, all looks"):
+        table.add_column(heading, justify="left" if heading == "coefficient" else "right")
+    table.add_column("")
+    rows = zip(COEFFICIENTS, drift.per_year, drift.u, drift.p_all_looks, drift.shown, strict=True)
+    for name, slope, u, p, shown in rows:
+        digits = places(float(2 * u))
+        table.add_row(
+            name, fixed(slope, digits, sign=True), fixed(2 * u, digits), f"{p:.2g}", "DRIFTS" if shown else ""
+        )
+    return table
+
+
+def _write(folder: Path, result: Comparison, out: Console) -> None:
+    from bench.report.history import history_figure
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for what, name, text in (
+        ("result", "compare.json", to_text(result.to_json())),
+        ("figure", "compare.svg", history_figure(result)),
+    ):
+        write_whole(folder / name, text)
+        printing.written(what, folder / name, out)

@@ -1,0 +1,1 @@
+"""What a bench file says of each kind of instrument."""

@@ -1,0 +1,1 @@
+"""Files that people write: bench files, model files; those that are shipped."""

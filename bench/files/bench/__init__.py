@@ -1,0 +1,1 @@
+"""Bench files: the instruments, the stand's errors, the block, what is accepted, what is simulated."""

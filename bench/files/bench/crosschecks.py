@@ -1,0 +1,179 @@
+"""Mistakes between the parts of a bench file: what each part by itself cannot know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Final
+
+import numpy as np
+from pydantic import ValidationError
+
+from bench.base.form_mistakes import Place, unknown_word
+from bench.base.forms import part
+from bench.base.units import SCALE_FACTOR, VOLTAGE, Kind, parse_quantity
+from bench.devices.voltmeters import written_channels
+from bench.devices.wires import bus_place
+from bench.files.bench.instruments import InstrumentsSection
+from bench.readings.table import UNORIENTED
+from drivers.interfaces import CHANNELS
+
+_OVER_RANGE: Final = 1.2
+"""A 34401A reads up to 120 % of its range (User's Guide, chapter 8)."""
+
+_SIMULATED_BY: Final = {"head": ("zaber",), "chamber": ("espec", "watlow-f4t", "thermotron")}
+"""The drivers for which the simulation has what its section of this name says."""
+_WITH_SENSOR_NOISE: Final = "espec"
+
+
+def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
+    """Yield every mistake with its place; `data` is the file as written, whatever else is wrong in it."""
+    voltmeters = part(data, "instruments", "voltmeters")
+    yield from _channel_mistakes(voltmeters)
+    yield from _resource_mistakes(data)
+    yield from _one_range_mistakes(voltmeters)
+    yield from _signal_mistakes(data)
+    yield from _label_mistakes(part(data, "installations"))
+    yield from _name_mistakes(data)
+    yield from _simulation_mistakes(data)
+
+
+def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
+    """Each of x, y, z is carried once."""
+    place: Place = ("instruments", "voltmeters")
+    if not isinstance(voltmeters, list):
+        return
+    carried: dict[str, int] = {}
+    unreadable = False
+    for index, meter in enumerate(voltmeters):
+        key, channels = written_channels(meter) or ("", ())
+        unreadable |= not key
+        for channel in channels:
+            unreadable |= channel not in CHANNELS
+            if channel in carried:
+                text = f"channel {channel} is carried by voltmeter {carried[channel] + 1} already"
+                yield (*place, index, key), text
+            carried.setdefault(str(channel), index)
+    missing = [channel for channel in CHANNELS if channel not in carried]
+    if missing and not unreadable:
+        yield place, f"no voltmeter carries channel {', '.join(missing)}; each of x, y, z is carried once"
+
+
+def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
+    """All voltmeters read on one range."""
+    ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
+    for index, range_v in enumerate(ranges):
+        if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
+            text = f"all voltmeters read on one range: this one has {range_v:g} V, the first {ranges[0]:g} V"
+            yield ("instruments", "voltmeters", index, "range"), text
+
+
+def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
+    """Each resource is one instrument."""
+    meters = enumerate(_items(part(data, "instruments", "voltmeters")))
+    places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
+    places += [("the head", ("head",)), ("the chamber", ("chamber",))]
+    known: dict[object, str] = {}
+    for called, inside in places:
+        place: Place = ("instruments", *inside, "resource")
+        resource = part(data, *place)
+        if not isinstance(resource, str):
+            continue
+        where = bus_place(resource) or resource
+        if where in known:
+            yield place, f"'{resource}' is {known[where]} already"
+        known.setdefault(where, called)
+
+
+def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
+    """The block's signals at 1 g stay within what the voltmeters read."""
+    range_v = _value(part(data, "instruments", "voltmeters", 0, "range") or "10 V", VOLTAGE)
+    if range_v is None:
+        return
+    full_scale_v = _OVER_RANGE * range_v
+    limit = f"the voltmeters read no more than {full_scale_v:g} V on their {range_v:g} V range"
+    for channel in CHANNELS:
+        place: Place = ("unit_under_test", "scale_factors", channel)
+        scale = _value(part(data, *place), SCALE_FACTOR)
+        if scale is not None and abs(scale) > full_scale_v:
+            yield place, f"1 g gives {abs(scale):g} V, but {limit}; take a higher range"
+    for row, channel in enumerate(CHANNELS):
+        truth: Place = ("simulation", "block")
+        terms = [_value(part(data, *truth, "K", row, column), SCALE_FACTOR) for column in range(3)]
+        bias = _value(part(data, *truth, "U0", row), VOLTAGE)
+        known = [term for term in terms if term is not None]
+        if len(known) == 3 and bias is not None:
+            peak_v = float(np.linalg.norm(known)) + abs(bias)
+            if peak_v > full_scale_v:
+                yield (*truth, "K", row), f"channel {channel} reaches {peak_v:.3g} V in a turn, but {limit}"
+
+
+def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
+    for label in installations if isinstance(installations, dict) else {}:
+        if label in UNORIENTED:
+            text = "F (free), S (shorted), R (reference) are readings without orientation; take another label"
+            yield ("installations", label), text
+        elif not label.isalnum():
+            yield (
+                ("installations", label),
+                f"a label is letters and digits such as '3' or 'U1', not '{label}'",
+            )
+
+
+def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
+    """Names are given once, and a fault names an instrument with a wire."""
+    instruments = _instruments(data)
+    if instruments is None:
+        return
+    seen: set[str] = set()
+    for name in instruments.names():
+        if name in seen:
+            yield ("instruments",), f"two instruments are called '{name}'; give one of them another name"
+        seen.add(name)
+    by_hand = {
+        section.name for section in (instruments.head, instruments.chamber)
+        if section is not None and section.driver.startswith("manual")
+    }  # fmt: skip
+    wired = [name for name in instruments.names() if name not in by_hand]
+    for index, fault in enumerate(_items(part(data, "simulation", "faults"))):
+        named = part(fault, "instrument")
+        if isinstance(named, str) and named not in wired:
+            yield ("simulation", "faults", index, "instrument"), unknown_word(named, wired, "instrument")
+
+
+def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
+    """What is said of a simulated head or chamber is there to be simulated."""
+    for name, drivers in _SIMULATED_BY.items():
+        section = part(data, "instruments", name)
+        driver = part(section, "driver")
+        readable = section is None or isinstance(driver, str)
+        if part(data, "simulation", name) is not None and readable and driver not in drivers:
+            there = "none" if driver is None else driver
+            text = (
+                f"only a {name} of the driver {' or '.join(drivers)} has this, and this bench has {there}; "
+                "leave it out"
+            )
+            yield ("simulation", name), text
+    noise: Place = ("simulation", "chamber", "sensor_noise")
+    driver = part(data, "instruments", "chamber", "driver")
+    if part(data, *noise) is not None and driver in _SIMULATED_BY["chamber"] and driver != _WITH_SENSOR_NOISE:
+        yield noise, f"the simulated {driver} has a sensor without noise; leave it out"
+
+
+def _instruments(data: Any) -> InstrumentsSection | None:
+    """Return the section on instruments when there is nothing wrong with it."""
+    try:
+        return InstrumentsSection.model_validate(part(data, "instruments"))
+    except ValidationError:
+        return None
+
+
+def _items(written: Any) -> list[Any]:
+    return written if isinstance(written, list) else []
+
+
+def _value(written: Any, kind: Kind) -> float | None:
+    """Return a quantity as written, None where it cannot be read (which is told elsewhere)."""
+    try:
+        return parse_quantity(written, kind)
+    except ValueError:
+        return None

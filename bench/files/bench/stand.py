@@ -1,0 +1,175 @@
+"""The sections of a bench file on gravity, stand and block: what each may say, what is wrong with it by itself."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
+
+from bench.base.forms import FileModel
+from bench.base.units import (
+    ACCELERATION,
+    ANGLE,
+    VOLTAGE,
+    AccelerationG,
+    AccelerationMS2,
+    AngleRad,
+    LengthM,
+    ScaleFactor,
+    not_negative,
+)
+from bench.devices.chambers import TemperatureRange
+from bench.model import Distribution, Installation
+from bench.model.gravity import normal_gravity_m_s2
+
+SizeRad = Annotated[float, not_negative(ANGLE)]
+SizeV = Annotated[float, not_negative(VOLTAGE)]
+SizeG = Annotated[float, not_negative(ACCELERATION)]
+
+
+# --- gravity ----------------------------------------------------------------------------------------
+
+
+class Location(FileModel):
+    """Where the bench stands, for the WGS 84 formula."""
+
+    latitude: AngleRad
+    height: LengthM = 0.0
+
+    @field_validator("latitude")
+    @classmethod
+    def _on_earth(cls, latitude_rad: float) -> float:
+        normal_gravity_m_s2(latitude_rad)
+        return latitude_rad
+
+    @field_validator("height")
+    @classmethod
+    def _on_the_ground(cls, height_m: float) -> float:
+        if not -500.0 <= height_m <= 9000.0:
+            raise ValueError(f"a bench stands between -500 m and 9000 m, not at {height_m:g} m")
+        return height_m
+
+
+def _plausible_gravity(g_m_s2: float) -> float:
+    if not 9.75 <= g_m_s2 <= 9.85:
+        raise ValueError(f"local gravity lies between 9.75 and 9.85 m/s^2, not at {g_m_s2:g} m/s^2")
+    return g_m_s2
+
+
+def _form_of_gravity(written: Any) -> str:
+    return "location of gravity" if isinstance(written, dict | Location) else "value of gravity"
+
+
+Gravity = Annotated[
+    Annotated[AccelerationMS2, AfterValidator(_plausible_gravity), Tag("value of gravity")]
+    | Annotated[Location, Tag("location of gravity")],
+    Discriminator(_form_of_gravity),
+]
+
+
+# --- stand ------------------------------------------------------------------------------------------
+
+
+class ErrorSize(FileModel):
+    """Limit of an error with its distribution; a normal one needs the coverage factor k.
+
+    `dof` are the degrees of freedom of the limit, where it was found from repeats; left out, it is certain.
+    """
+
+    limit: float
+    distribution: Literal["normal", "rectangular"]
+    k: Annotated[float, Field(gt=0.0)] | None = None
+    dof: Annotated[float, Field(gt=0.0)] = float("inf")
+
+    @model_validator(mode="after")
+    def _k_where_normal(self) -> ErrorSize:
+        if self.distribution == "normal" and self.k is None:
+            raise ValueError("a normal distribution needs k: how many standard deviations the limit is")
+        if self.distribution == "rectangular" and self.k is not None:
+            raise ValueError("a rectangular distribution has no k; leave it out")
+        return self
+
+    def to_distribution(self) -> Distribution:
+        """Return the distribution, in SI."""
+        return Distribution(self.limit, self.distribution, 1.0 if self.k is None else self.k)
+
+
+class AngleError(ErrorSize):
+    """An angle of the stand, rad."""
+
+    limit: SizeRad
+
+
+class VoltageError(ErrorSize):
+    """An error in volts."""
+
+    limit: SizeV
+
+
+class StandSection(FileModel):
+    """The stand errors, alpha1…alpha4 and Delta U_M of the paper; the last two are zero unless stated."""
+
+    axis_tilt: AngleError
+    zero_offset: AngleError
+    mounting_error: AngleError
+    setting_error: AngleError
+    voltmeter_error: VoltageError
+    mounting_roll: AngleError | None = None
+    mounting_offset: AngleError | None = None
+
+
+class InstallationSection(FileModel):
+    """The platform axis along which each block axis lies, and a turn of the block about a platform axis."""
+
+    axes: Annotated[tuple[str, ...], Field(min_length=3, max_length=3)]
+    turned: AngleRad = 0.0
+    about: Literal["x", "y", "z"] = "z"
+
+    @field_validator("axes")
+    @classmethod
+    def _right_handed(cls, axes: tuple[str, ...]) -> tuple[str, ...]:
+        Installation.from_axes("", axes)
+        return axes
+
+    def to_model(self, label: str) -> Installation:
+        """Return the installation of the forward model."""
+        return Installation.from_axes(label, self.axes, self.turned, self.about)
+
+
+# --- the block --------------------------------------------------------------------------------------
+
+
+class ScaleFactors(FileModel):
+    """Nominal scale factors with their signs, V/g."""
+
+    x: ScaleFactor
+    y: ScaleFactor
+    z: ScaleFactor
+
+    @field_validator("x", "y", "z")
+    @classmethod
+    def _not_zero(cls, scale_v_g: float) -> float:
+        if scale_v_g == 0.0:
+            raise ValueError("a scale factor is not zero")
+        return scale_v_g
+
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """The three, V/g."""
+        return self.x, self.y, self.z
+
+
+class UnitUnderTest(FileModel):
+    """The block: identity, nominal scale factors, measuring range, temperatures it may be given."""
+
+    type: str
+    serial: str
+    scale_factors: ScaleFactors
+    range: AccelerationG
+    temperature: TemperatureRange
+
+
+class VerificationSection(FileModel):
+    """Delta g_A: how far the measured modulus of gravity may be from 1 g."""
+
+    limit: SizeG

@@ -1,0 +1,74 @@
+"""The section of a bench file on what no reading shows: limits of meters, gravity, temperature, priors."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+from bench.base.forms import FileModel
+from bench.base.units import GRAVITY, RATIO, Kind, not_negative
+from bench.devices.chambers import SizeK
+from bench.files.bench.stand import ErrorSize, VoltageError
+
+BIAS_PER_K: Final = Kind("a temperature coefficient of the bias", "30 ug/K", "g/K")
+SCALE_PER_K: Final = Kind("a temperature coefficient of the scale factor", "180 ppm/K", "1/K")
+QUADRATIC: Final = Kind("a quadratic nonlinearity", "30 ug/g^2", "g/g^2")
+CUBIC: Final = Kind("a cubic nonlinearity", "20 ug/g^3", "g/g^3")
+
+
+class RatioError(ErrorSize):
+    """A relative error."""
+
+    limit: Annotated[float, not_negative(RATIO)]
+
+
+class GravityError(ErrorSize):
+    """An error of local gravity, m/s²."""
+
+    limit: Annotated[float, not_negative(GRAVITY)]
+
+
+class TemperatureError(ErrorSize):
+    """How far the temperature of the block is from that of the calibration, K."""
+
+    limit: SizeK
+
+
+class BiasPerKelvin(ErrorSize):
+    """A temperature coefficient of the bias, g/K."""
+
+    limit: Annotated[float, not_negative(BIAS_PER_K)]
+
+
+class ScalePerKelvin(ErrorSize):
+    """A temperature coefficient of the scale factor, 1/K."""
+
+    limit: Annotated[float, not_negative(SCALE_PER_K)]
+
+
+class QuadraticError(ErrorSize):
+    """K2 of a channel, in g per g²."""
+
+    limit: Annotated[float, not_negative(QUADRATIC)]
+
+
+class CubicError(ErrorSize):
+    """K3 of a channel, in g per g³."""
+
+    limit: Annotated[float, not_negative(CUBIC)]
+
+
+class UncertaintySection(FileModel):
+    """What is known of the errors that the readings do not show; what is left out has a default.
+
+    The defaults of the voltmeters are their makers' limits, that of the temperature the chamber's band.
+    """
+
+    voltmeter_gain: RatioError | None = None
+    voltmeter_offset: VoltageError | None = None
+    voltmeter_linearity: VoltageError | None = None
+    gravity: GravityError | None = None
+    temperature: TemperatureError | None = None
+    bias_temperature_coefficient: BiasPerKelvin | None = None
+    scale_temperature_coefficient: ScalePerKelvin | None = None
+    K2: QuadraticError | None = None
+    K3: CubicError | None = None

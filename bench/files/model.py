@@ -1,0 +1,281 @@
+"""Model files: which effects a forward model has, with their values. Bench files state effects likewise.
+
+A parameter is written in any unit of its dimension, for all `channels` alike or for each:
+`K2: 60 ug/g^2`, `K2: {value: 60 ug/g^2, u: 4 ug/g^2}`, `K2: {x: 60 ug/g^2, z: {value: …, u: …}}`.
+A shape (a time constant, a width) has one value and no `u`: `tau: 20 min`. `installations: ["2"]` says which
+mountings have the effect ("2/3" is installation 2 in series 3), where not all have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bench.base.form_mistakes import Place, unknown_word
+from bench.base.forms import FileMistakes, FileModel, Mistake, load_validated
+from bench.base.units import Kind, parse_quantity
+from bench.model import CATALOGUE, AppliedEffect, Parameter
+from drivers.interfaces import CHANNELS, Channel
+
+Floats = NDArray[np.float64]
+
+FORMAT: Final = "1"
+"""Version of the format; a reader refuses any other."""
+
+
+class EffectEntry(FileModel):
+    """One effect of a file: its name in the catalogue, the channels and mountings that have it, its values."""
+
+    name: str
+    channels: tuple[Channel, ...] = Field(CHANNELS, min_length=1)
+    installations: tuple[str, ...] = ()
+    parameters: dict[str, Any]
+
+    def applied(self) -> AppliedEffect:
+        """Return the effect with its values in SI. The entry must have passed `effect_mistakes`."""
+        effect = CATALOGUE[self.name]
+        values: dict[str, Floats] = {}
+        u: dict[str, Floats] = {}
+        for parameter in effect.parameters:
+            if parameter.name in self.parameters:
+                read = _Reader(parameter, self.channels)
+                read.all(self.parameters[parameter.name])
+                values[parameter.name] = read.values
+                if read.has_u:
+                    u[parameter.name] = read.u
+        return AppliedEffect(effect, values, self.channels, u, self.installations)
+
+
+class ModelFile(FileModel):
+    """A model file: `parent` is the model that it was made from, `data_sha256` what it was found in.
+
+    `evidence` is kept as text for the reader of the file; nothing is computed from it.
+    """
+
+    model_file: Literal["1"]
+    name: str
+    parent: str = "paper"
+    data_sha256: str | None = None
+    evidence: dict[str, str] = Field(default_factory=dict)
+    effects: tuple[EffectEntry, ...] = ()
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield the mistakes in the effects."""
+        return effect_mistakes(data.get("effects") if isinstance(data, dict) else None, ("effects",))
+
+    def applied_effects(self) -> tuple[AppliedEffect, ...]:
+        """Return the effects with their values in SI."""
+        return tuple(entry.applied() for entry in self.effects)
+
+
+def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
+    """Read a model file. Raises `FileMistakes` with every mistake in it.
+
+    With `installations`, those of the bench, it is a mistake, too, that an effect is of another one.
+    """
+    model = load_validated(path, ModelFile)
+    mistakes = [
+        Mistake(0, f"effects[{index}].installations", text)
+        for index, entry in enumerate(model.effects, start=1)
+        for text in _mounting_mistakes(entry.installations, installations)
+    ]
+    if mistakes and installations:
+        raise FileMistakes(path, mistakes)
+    return model
+
+
+# --- reading effects --------------------------------------------------------------------------------
+
+
+def effect_mistakes(
+    entries: Any, place: Place, installations: Collection[str] = ()
+) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong with the names and values of a list of effects as written at `place`.
+
+    With `installations`, those of the bench, effects must not be of another one.
+    """
+    seen: set[tuple[object, ...]] = set()
+    for index, entry in enumerate(entries if isinstance(entries, list) else []):
+        if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+            continue
+        here = (*place, index)
+        effect = CATALOGUE.get(entry["name"])
+        if effect is None:
+            yield (*here, "name"), unknown_word(entry["name"], sorted(CATALOGUE), "effect")
+            continue
+        given = entry.get("parameters")
+        known = {parameter.name: parameter for parameter in effect.parameters}
+        channels = _channels(entry.get("channels"))
+        shapes = {parameter.name: parameter.default for parameter in effect.parameters if parameter.is_shape}
+        for name, written in (given if isinstance(given, dict) else {}).items():
+            inside = (*here, "parameters", name)
+            if name not in known:
+                yield inside, unknown_word(name, list(known), f"parameter of {effect.name}")
+                continue
+            reader = _Reader(known[name], channels)
+            reader.all(written)
+            yield from (((*inside, *where), text) for where, text in reader.problems)
+            if name in shapes:
+                shapes[name] = float(reader.values)
+        mountings = entry.get("installations")
+        listed = tuple(sorted(map(str, mountings))) if isinstance(mountings, list) else ()
+        if installations:
+            yield from (
+                ((*here, "installations"), text) for text in _mounting_mistakes(listed, installations)
+            )
+        of = channels if any(parameter.per_channel for parameter in effect.parameters) else CHANNELS
+        own = {(effect.name, listed, channel, *shapes.values()) for channel in of}
+        if own & seen:
+            yield here, f"{effect.name} stands twice for the same channel; put its values into one entry"
+        seen |= own
+
+
+def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -> Iterator[str]:
+    """Yield a sentence for each mounting, such as "2" or "2/3" (of series 3), of an unknown installation."""
+    for mounting in written:
+        label, slash, series = mounting.partition("/")
+        if label not in installations:
+            yield unknown_word(label, sorted(installations), "installation")
+        elif slash and not (series.isdecimal() and int(series) > 1):
+            yield f"expected a series from 2 on after the slash, such as '{label}/2', got '{mounting}'"
+
+
+def _channels(written: Any) -> tuple[Channel, ...]:
+    """Return the channels as written, all where they cannot be read."""
+    return tuple(c for c in CHANNELS if c in written) if isinstance(written, list) and written else CHANNELS
+
+
+class _Reader:
+    """Reads the value of a parameter; `problems` holds places below it and sentences."""
+
+    def __init__(self, parameter: Parameter, channels: tuple[Channel, ...]) -> None:
+        self._parameter = parameter
+        self._channels = channels
+        unit = "" if parameter.unit == "1" else parameter.unit
+        size = parameter.plausible / parameter.si_per_unit
+        self._kind = Kind(f"a value of {parameter.name}", f"{size:.3g} {unit}".strip(), unit)
+        shape = (3,) if parameter.per_channel else ()
+        self.values: Floats = np.zeros(shape)
+        self.u: Floats = np.zeros(shape)
+        self.has_u = False
+        self.problems: list[tuple[Place, str]] = []
+
+    def all(self, written: Any) -> None:
+        """Read a value for all channels, or a mapping of channels to values."""
+        if not isinstance(written, dict) or not set(written) & set(CHANNELS):
+            rows = [CHANNELS.index(channel) for channel in self._channels]
+            self._one(written, rows if self._parameter.per_channel else (), ())
+            return
+        if not self._parameter.per_channel:
+            text = f"{self._parameter.name} has one value, not one for each channel"
+            self.problems.append(((), text))
+            return
+        for channel, value in written.items():
+            if channel not in CHANNELS:
+                self.problems.append(((channel,), unknown_word(channel, list(CHANNELS), "channel")))
+            elif channel not in self._channels:
+                listed = ", ".join(self._channels)
+                self.problems.append(((channel,), f"channel {channel} is not among the channels ({listed})"))
+            else:
+                self._one(value, [CHANNELS.index(channel)], (channel,))
+
+    def _one(self, written: Any, rows: Sequence[int] | tuple[()], place: Place) -> None:
+        if not isinstance(written, dict):
+            self.values[rows] = self._number(written, place)
+            return
+        for key in written:
+            if key not in {"value", "u"}:
+                self.problems.append(((*place, key), unknown_word(key, ["value", "u", *CHANNELS], "key")))
+        if "value" in written:
+            self.values[rows] = self._number(written["value"], (*place, "value"))
+        else:
+            self.problems.append((place, "'value' is missing"))
+        if "u" in written and self._parameter.is_shape:
+            text = f"{self._parameter.name} is a shape: a fit holds it as it is, and it has no u"
+            self.problems.append(((*place, "u"), text))
+        elif "u" in written:
+            self.has_u = True
+            u = self._number(written["u"], (*place, "u"))
+            self.u[rows] = u
+            if u < 0.0:
+                self.problems.append(((*place, "u"), "a standard uncertainty is not negative"))
+
+    def _number(self, written: Any, place: Place) -> float:
+        parameter = self._parameter
+        try:
+            number = parse_quantity(written, self._kind)
+            if parameter.is_shape and (number < 0.0 or (number == 0.0 and 0.0 not in parameter.grid)):
+                least = "nothing or more" if 0.0 in parameter.grid else "more than nothing"
+                raise ValueError(f"expected {parameter.name} to be {least}, got '{written}'")
+            return number * parameter.si_per_unit
+        except ValueError as error:
+            self.problems.append((place, str(error)))
+            return 0.0
+
+
+# --- writing ----------------------------------------------------------------------------------------
+
+
+def write_model_file(
+    path: Path,
+    name: str,
+    effects: Sequence[AppliedEffect],
+    *,
+    parent: str = "paper",
+    data_sha256: str | None = None,
+    evidence: Mapping[str, object] | None = None,
+) -> None:
+    """Write a model file that `load_model` reads back to the same values.
+
+    Raises `FileMistakes` when `path` exists: a model file is never overwritten.
+    """
+    content: dict[str, Any] = {"model_file": int(FORMAT), "name": name, "parent": parent}
+    if data_sha256 is not None:
+        content["data_sha256"] = data_sha256
+    if evidence:
+        content["evidence"] = {key: str(value) for key, value in evidence.items()}
+    content["effects"] = [_written_effect(applied) for applied in effects]
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        problem = "this model file exists and is not overwritten; give another name"
+        raise FileMistakes(path, [Mistake(0, "", problem)]) from None
+
+
+def _written_effect(applied: AppliedEffect) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    complete = applied.complete_values()
+    for parameter in applied.effect.parameters:
+        if parameter.name not in applied.values and not parameter.is_shape:
+            continue
+        value = complete[parameter.name]
+        u = applied.u.get(parameter.name)
+        if parameter.per_channel:
+            parameters[parameter.name] = {
+                channel: _written_value(parameter, value[i], None if u is None else u[i])
+                for i, channel in enumerate(CHANNELS)
+                if channel in applied.channels
+            }
+        else:
+            parameters[parameter.name] = _written_value(parameter, value, u)
+    written: dict[str, Any] = {"name": applied.effect.name, "channels": list(applied.channels)}
+    if applied.installations:
+        written["installations"] = list(applied.installations)
+    return written | {"parameters": parameters}
+
+
+def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, str]:
+    def text(number: Any) -> str:
+        unit = "" if parameter.unit == "1" else parameter.unit
+        return f"{float(number) / parameter.si_per_unit!r} {unit}".strip()
+
+    return text(value) if u is None else {"value": text(value), "u": text(u)}

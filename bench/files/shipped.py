@@ -1,0 +1,74 @@
+"""The procedures and bench files that come with the program, by name.
+
+An installed program carries them in its folder `shipped_files`; in a checkout they stand at the top level.
+"""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Final
+
+from bench.base.forms import FileMistakes, Mistake
+
+PROCEDURES: Final = "procedures"
+CONFIG: Final = "config"
+_PACKAGE: Final = Path(__file__).resolve().parents[1]
+
+
+def shipped_folder(kind: str) -> Path:
+    """Return the folder of the shipped `PROCEDURES` or `CONFIG`."""
+    installed = _PACKAGE / "shipped_files" / kind
+    return installed if installed.is_dir() else _PACKAGE.parent / kind
+
+
+def find_procedure(name: str) -> Path:
+    """Return the file of a procedure, by path or shipped name. Raises `FileMistakes` for an unknown one."""
+    return _find(name, PROCEDURES, "procedure")
+
+
+def find_bench(name: str) -> Path:
+    """Return a bench file, by path or by shipped name. Raises `FileMistakes` for an unknown one."""
+    return _find(name, CONFIG, "bench file")
+
+
+def _find(name: str, kind: str, called: str) -> Path:
+    """A path wins over an edited copy in the working folder (as `bench init` makes it), that over a shipped file.
+
+    A name may have its `.yaml` or not.
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    copy = Path(kind) / f"{name.removesuffix('.yaml')}.yaml"
+    if path.parent == Path() and copy.is_file():
+        return copy.absolute()
+    known = {file.stem: file for file in sorted(shipped_folder(kind).glob("*.yaml"))}
+    shipped = known.get(name.removesuffix(".yaml"))
+    if shipped is not None:
+        return shipped
+    near = difflib.get_close_matches(name.removesuffix(".yaml"), known, n=2, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}? " if near else ""
+    listed = ", ".join(known)
+    text = f"there is no such file, and no shipped {called} of that name; {hint}shipped are: {listed}"
+    raise FileMistakes(name, [Mistake(0, "", text)])
+
+
+def copy_shipped(target: Path) -> list[Path]:
+    """Copy the shipped files into `target`/procedures and `target`/config; return those that were written.
+
+    A file that is there already is left as it is. Raises `OSError` where nothing can be written.
+    """
+    written = []
+    for kind in (PROCEDURES, CONFIG):
+        folder = target / kind
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in sorted(shipped_folder(kind).glob("*.yaml")):
+            copy = folder / file.name
+            try:
+                with copy.open("xb") as stream:
+                    stream.write(file.read_bytes())
+            except FileExistsError:
+                continue
+            written.append(copy)
+    return written

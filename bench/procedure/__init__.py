@@ -1,0 +1,1 @@
+"""Procedures: from a file of steps to a plan that is checked, listed and carried out."""

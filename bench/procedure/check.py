@@ -1,0 +1,233 @@
+"""A plan against a bench, before anything is touched: what cannot be done, and what it takes to do it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.files.bench.file import BenchFile
+from bench.model.block import COEFFICIENTS
+from bench.procedure.plan import Ask, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
+from bench.procedure.steps import in_scan_order, read_order
+from bench.readings.table import UNORIENTED, VERIFICATION
+
+Floats = NDArray[np.float64]
+
+ROUNDING_RAD: Final = 1e-9
+
+_BYTES_OF_REPORT: Final = 1_500_000
+_BYTES_OF_STEP: Final = 800
+_BYTES_OF_READING: Final = 800
+_BYTES_OF_SAMPLE: Final = 40
+"""As measured on the folders of dry runs, rounded up: plan and events; the samples of three channels."""
+
+
+def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
+    """Return every reason why a plan cannot be carried out on a bench, one sentence each.
+
+    In a dry run nobody can answer a prompt without a default, so that such a prompt is a reason too.
+    """
+    return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
+            *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
+            *_settling_problems(plan, bench), *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
+
+
+def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    known = bench.installation_models()
+    first = {step.installation: step.key for step in reversed(plan.steps) if isinstance(step, Mount)}
+    for label, key in reversed(first.items()):
+        if label not in known:
+            listed = ", ".join(known)
+            yield f"step {key}: the bench file has no installation {label} (it has {listed}); state it there"
+
+
+def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    nplc: dict[float, str] = {}
+    samples: dict[int, str] = {}
+    for step in plan.steps:
+        if isinstance(step, Read):
+            nplc.setdefault(step.nplc, step.key)
+            samples.setdefault(step.samples, step.key)
+    for value, key in nplc.items():
+        if value not in bench.nplc_supported:
+            listed = ", ".join(f"{n:g}" for n in bench.nplc_supported)
+            yield f"step {key}: the voltmeters do not integrate over {value:g} NPLC; take one of {listed}"
+    for count, key in samples.items():
+        if count > bench.most_samples:
+            yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
+
+
+def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A meter of several channels scans them in its own order, whatever is asked."""
+    scans = {step.scan: step.key for step in reversed(plan.steps) if isinstance(step, Read) and step.scan}
+    for scan, key in reversed(scans.items()):
+        order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
+        if order != scan:
+            yield (
+                f"step {key}: the channels are to be read in the order {scan}, but this bench's multiplexer can do "
+                f"{order} alone; leave 'scans' out in a copy of the procedure"
+            )
+
+
+def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A motorised head backs off before it arrives from the demanded side: that place must be allowed, too."""
+    if bench.head_limits_rad is None:
+        return
+    low_rad, high_rad = bench.head_limits_rad
+    told: set[tuple[float, int]] = set()
+    for step in plan.steps:
+        if not isinstance(step, Turn) or (step.target_rad, step.direction) in told:
+            continue
+        told.add((step.target_rad, step.direction))
+        start_rad = step.target_rad - step.direction * bench.head_backoff_rad
+        lowest, highest = sorted((step.target_rad, start_rad))
+        if lowest < low_rad - ROUNDING_RAD or highest > high_rad + ROUNDING_RAD:
+            yield (
+                f"step {step.key}: the head may go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°, but "
+                f"{'rising' if step.direction > 0 else 'falling'} to {np.degrees(step.target_rad):g}° needs "
+                f"{np.degrees(lowest):g}° to {np.degrees(highest):g}°"
+            )
+
+
+def _signal_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """What the voltmeters and the block cannot take; the nominal signals themselves the bench file checks."""
+    range_v = bench.voltmeter_range_v
+    references = {s.reference_v: s.key for s in reversed(plan.steps) if isinstance(s, SelectInput)}
+    for reference_v, key in reversed(references.items()):
+        if reference_v is not None and abs(reference_v) > range_v:
+            yield (
+                f"step {key}: the reference of {reference_v:g} V is more than the voltmeters' range of "
+                f"{range_v:g} V; take a smaller one"
+            )
+    largest_g = max((float(np.max(np.abs(f))) for f in orientations(plan, bench).values()), default=0.0)
+    if largest_g > bench.unit_under_test.range:
+        yield (
+            f"the block is given {largest_g:.3g} g along an axis, but measures no more than "
+            f"{bench.unit_under_test.range:g} g; change its range in the bench file or the angles"
+        )
+
+
+def _temperature_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    demands = {s.target_c: s.key for s in reversed(plan.steps) if isinstance(s, SetTemperature)}
+    chamber = bench.instruments.chamber
+    if demands and chamber is None:
+        key = demands[next(reversed(demands))]
+        yield f"step {key}: the procedure sets temperatures, but the bench file has no chamber"
+    limits = {"the block": bench.unit_under_test.temperature} | ({"the chamber": chamber} if chamber else {})
+    for target_c, key in reversed(demands.items()):
+        for what, allowed in limits.items():
+            if not allowed.minimum <= target_c <= allowed.maximum:
+                span = f"{allowed.minimum:g} to {allowed.maximum:g} °C"
+                yield f"step {key}: {target_c:g} °C is outside what {what} may be given, {span}"
+
+
+def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    first = next((s for s in plan.steps if isinstance(s, Settle) and s.what == "temperature"), None)
+    chamber = bench.instruments.chamber
+    if first is None:
+        return
+    if chamber is None:
+        yield f"step {first.key}: the temperature is to settle, but the bench file has no chamber"
+    elif chamber.driver.startswith("manual"):
+        yield (
+            f"step {first.key}: the temperature is to settle, but a person reads it and cannot be asked again and "
+            "again; take a plain soak"
+        )
+
+
+def prompts_without_default(plan: Plan) -> Iterator[str]:
+    """Yield a sentence for each prompt that a dry run cannot answer."""
+    for step in plan.steps:
+        if isinstance(step, Ask) and step.default is None:
+            yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; give one"
+
+
+# --- what it takes ----------------------------------------------------------------------------------
+
+
+def operator_actions(plan: Plan, bench: BenchFile) -> int:
+    """Return how often the operator has something to do on this bench: what a motor does is none.
+
+    A thermometer that a person reads is read at each mounting, too.
+    """
+    chamber = bench.instruments.chamber
+    turned = bench.instruments.head.driver.startswith("manual")
+    heated = chamber is not None and chamber.driver.startswith("manual")
+    actions = 0
+    for step in plan.steps:
+        match step:
+            case Mount():
+                actions += 2 if heated else 1
+            case Turn():
+                actions += turned
+            case SetTemperature():
+                actions += heated
+            case SelectInput() | Ask():
+                actions += 1
+    return actions
+
+
+def largest_signal_v(plan: Plan, bench: BenchFile) -> float:
+    """Return the largest signal that nominal scale factors give at the orientations of a plan, V."""
+    scale_v_g = np.array(bench.unit_under_test.scale_factors.values)
+    return max(
+        (float(np.max(np.abs(f * scale_v_g))) for f in orientations(plan, bench).values()), default=0.0
+    )
+
+
+def disk_needed_bytes(plan: Plan) -> int:
+    """Return about how much a run of a plan writes: plan and events, every sample, the report."""
+    reads = [step for step in plan.steps if isinstance(step, Read)]
+    samples = sum(step.samples for step in reads) + sum(
+        int(step.timeout_s / step.interval_s) + 1 for step in plan.steps if isinstance(step, Settle)
+    )
+    return (
+        _BYTES_OF_REPORT
+        + _BYTES_OF_STEP * len(plan.steps)
+        + _BYTES_OF_READING * len(reads)
+        + _BYTES_OF_SAMPLE * samples
+    )
+
+
+# --- what it tells ----------------------------------------------------------------------------------
+
+
+def orientations(plan: Plan, bench: BenchFile) -> dict[float | None, Floats]:
+    """Return the nominal specific forces (n, 3), in g, at which a calibration from this plan has readings.
+
+    By the temperature that the chamber was set to, None before it was set. An orientation stands there once;
+    verification points and installations that the bench file does not know are left out.
+    """
+    turns = {label: known.block_from_platform for label, known in bench.installation_models().items()}
+    found: dict[float | None, dict[tuple[str, float], Floats]] = {}
+    at_c: float | None = None
+    for step in plan.steps:
+        if isinstance(step, SetTemperature):
+            at_c = step.target_c
+        elif isinstance(step, Read) and step.target_rad is not None and _is_fitted(step, turns):
+            place = step.installation, step.target_rad
+            forces = found.setdefault(at_c, {})
+            if place not in forces:
+                on_platform = np.array([np.sin(step.target_rad), 0.0, np.cos(step.target_rad)])
+                forces[place] = turns[step.installation] @ on_platform
+    return {temperature: np.array([*forces.values()]) for temperature, forces in found.items()}
+
+
+def _is_fitted(step: Read, turns: dict[str, Floats]) -> bool:
+    return step.installation in turns and step.installation not in {VERIFICATION, *UNORIENTED}
+
+
+def undetermined(force: Floats) -> tuple[str, ...]:
+    """Return the coefficients that readings at these specific forces (n, 3) leave open, none for a calibration.
+
+    By the rank of the nominal design, with the threshold of `bench.analysis.calibration.assumptions.require_rank`.
+    """
+    columns = np.column_stack([force, np.ones(len(force))])
+    _, size, directions = np.linalg.svd(np.linalg.qr(columns, mode="r"))
+    size = np.concatenate([size, np.zeros(4 - len(size))])
+    null = np.abs(directions[size <= 1e-3 * size[0]])
+    open_ = [axis for axis, part in zip("xyz0", null.max(axis=0, initial=0.0), strict=True) if part > 1e-3]
+    return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in open_)

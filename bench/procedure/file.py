@@ -1,0 +1,306 @@
+"""What a procedure file may say: a list of steps, each a mapping with one verb.
+
+steps:
+  - wait: {for: 1 h, reason: warm-up}
+  - installation:
+      label: 1
+      steps:
+        - repeat:
+            directions: [rising, falling, rising]
+            steps:
+              - turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}
+
+Beside the steps, `reading` says how a reading is taken, `on_failure` what becomes of a turn or a reading that
+fails, `operator_time` how long the operator takes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
+
+from bench.base.forms import FileModel
+from bench.base.units import AngleRad, TemperatureC, VoltageV
+from bench.procedure.sections import (
+    FailureSection,
+    OperatorTimeSection,
+    Positive,
+    ReadingSection,
+    SettleVerb,
+    SpanS,
+    TemperatureSettle,
+)
+from bench.readings.table import UNORIENTED, scan_order
+from drivers.interfaces import PromptKind
+
+Steps = Annotated[tuple["StepEntry", ...], Field(min_length=1)]
+DirectionWord = Literal["rising", "falling"]
+
+VERBS: Final = ("installation", "repeat", "turn", "read", "input", "wait", "settle", "prompt", "temperature",
+                "temperatures", "include")  # fmt: skip
+_TURN_RAD: Final = math.tau + 1e-9
+
+
+def _within_a_turn(angle_rad: float) -> float:
+    if abs(angle_rad) > _TURN_RAD:
+        raise ValueError(f"an angle lies within ±360°, not at {math.degrees(angle_rad):g}°")
+    return angle_rad
+
+
+def _an_order(text: str) -> str:
+    scan_order(text)
+    return text.strip().lower()
+
+
+ScanWord = Annotated[str, AfterValidator(_an_order)]
+Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
+
+
+class InstallationVerb(FileModel):
+    """Mount the block; `series` numbers the visits to an installation, by itself where it is left out."""
+
+    label: str
+    series: Positive | None = None
+    steps: Steps
+
+    @field_validator("label")
+    @classmethod
+    def _oriented(cls, label: str) -> str:
+        if label in UNORIENTED:
+            raise ValueError(f"'{label}' stands for readings without orientation and cannot be mounted")
+        if not label.isalnum():
+            raise ValueError(f"a label is letters and digits such as '1' or 'V', not '{label}'")
+        return label
+
+
+class RepeatVerb(FileModel):
+    """Passes: so many `times`, or one for each of `directions`, which then hold for the turns inside.
+
+    `scans` says for each pass in which order the channels are read, such as [xyz, zyx].
+    """
+
+    times: Positive | None = None
+    directions: Annotated[tuple[DirectionWord, ...], Field(min_length=1)] | None = None
+    scans: Annotated[tuple[ScanWord, ...], Field(min_length=1)] | None = None
+    steps: Steps
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> RepeatVerb:
+        if (self.times is None) == (self.directions is None):
+            raise ValueError("a repeat has either 'times' or 'directions'")
+        return self
+
+    @model_validator(mode="after")
+    def _a_scan_for_each(self) -> RepeatVerb:
+        if self.scans is not None and len(self.scans) != self.passes:
+            raise ValueError(f"'scans' has an order for each pass: {self.passes}, not {len(self.scans)}")
+        return self
+
+    @property
+    def passes(self) -> int:
+        """How many passes there are."""
+        return self.times or len(self.directions or ())
+
+
+class AngleSteps(FileModel):
+    """Equally spaced angles: the first, the step, how many."""
+
+    start: Angle = Field(alias="from")
+    step: AngleRad
+    count: Annotated[int, Field(ge=1, le=100_000)]
+
+    @model_validator(mode="after")
+    def _end_within_a_turn(self) -> AngleSteps:
+        _within_a_turn(self.start + (self.count - 1) * self.step)
+        return self
+
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """The angles, rad."""
+        return tuple(self.start + i * self.step for i in range(self.count))
+
+
+def _form_of_angles(written: Any) -> str:
+    return "steps of angle" if isinstance(written, dict | AngleSteps) else "list of angles"
+
+
+class TurnVerb(FileModel):
+    """Turn through angles; at each the steps are done, or settling and one reading where there are none.
+
+    Points are numbered from `first_point` in the order of the list; a falling pass visits the list in
+    reverse, and a point keeps its number.
+    """
+
+    angles: Annotated[
+        Annotated[tuple[Angle, ...], Field(min_length=1), Tag("list of angles")]
+        | Annotated[AngleSteps, Tag("steps of angle")],
+        Discriminator(_form_of_angles),
+    ]
+    direction: DirectionWord | None = None
+    first_point: Positive = 1
+    steps: Steps | None = None
+
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """The angles in the order of the list, rad."""
+        return self.angles.angles_rad if isinstance(self.angles, AngleSteps) else self.angles
+
+
+class ReadVerb(FileModel):
+    """Take a reading, or so many `times` with a `pause` between them, each a point numbered on from the last.
+
+    What is left out is as in the section `reading`.
+    """
+
+    samples: Positive | None = None
+    nplc: Annotated[float, Field(gt=0.0)] | None = None
+    times: Annotated[int, Field(ge=1, le=100_000)] = 1
+    pause: SpanS = 0.0
+    on_failure: FailureSection | None = None
+
+    @model_validator(mode="after")
+    def _pause_between_two(self) -> ReadVerb:
+        if self.pause and self.times == 1:
+            raise ValueError("a pause stands between readings; say with 'times' how many there are")
+        return self
+
+
+class InputVerb(FileModel):
+    """Switch all three inputs to a short or to a reference, do the steps, switch them back to the signals.
+
+    Where there are no steps: settling and one reading. Readings inside are of installation S or R, and their
+    points are numbered by themselves.
+    """
+
+    source: Literal["short", "reference"]
+    voltage: VoltageV | None = None
+    steps: Steps | None = None
+
+    @model_validator(mode="after")
+    def _voltage_of_a_reference(self) -> InputVerb:
+        if (self.source == "reference") != (self.voltage is not None):
+            raise ValueError("an input of source 'reference' has a voltage, and no other has")
+        return self
+
+
+class WaitVerb(FileModel):
+    """Let bench time pass."""
+
+    duration: SpanS = Field(alias="for")
+    reason: str = "waiting"
+
+
+class PromptVerb(FileModel):
+    """Ask the operator; the answer is recorded. Without a default a dry run cannot answer."""
+
+    kind: PromptKind
+    text: str
+    default: str | None = None
+    unit: Annotated[str, Field(min_length=0)] = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _default_fits(self) -> PromptVerb:
+        if (self.kind is PromptKind.CHOOSE) != bool(self.choices):
+            raise ValueError("a prompt of kind 'choose' has choices, and no other kind has")
+        if self.kind is not PromptKind.NUMBER and not (self.minimum is None and self.maximum is None):
+            raise ValueError("only a prompt of kind 'number' has a minimum and a maximum")
+        if self.default is None:
+            return self
+        if self.kind is PromptKind.CHOOSE and self.default not in self.choices:
+            raise ValueError(f"the default '{self.default}' is not among the choices")
+        if self.kind is PromptKind.CONFIRM and self.default not in {"yes", "no"}:
+            raise ValueError(f"the default of a confirmation is yes or no, not '{self.default}'")
+        if self.kind is PromptKind.NUMBER:
+            self._check_default_number(self.default)
+        return self
+
+    def _check_default_number(self, default: str) -> None:
+        try:
+            value = float(default)
+        except ValueError:
+            raise ValueError(f"the default '{default}' is not a number") from None
+        low = -math.inf if self.minimum is None else self.minimum
+        high = math.inf if self.maximum is None else self.maximum
+        if not low <= value <= high:
+            raise ValueError(f"the default {value:g} is not between {low:g} and {high:g}")
+
+
+class TemperatureVerb(FileModel):
+    """Set the chamber, wait until the temperature has settled, then let the block soak."""
+
+    at: TemperatureC
+    settle: TemperatureSettle | None = None
+    soak: SpanS = 0.0
+
+
+class TemperaturesVerb(FileModel):
+    """Do the steps at one temperature after the other, each as the verb `temperature` would set it.
+
+    Inside an installation the block stays mounted, and each temperature is a series of its own.
+    """
+
+    at: Annotated[tuple[TemperatureC, ...], Field(min_length=1)]
+    settle: TemperatureSettle | None = None
+    soak: SpanS = 0.0
+    steps: Steps
+
+
+class StepEntry(FileModel):
+    """One step: exactly one of the verbs."""
+
+    installation: InstallationVerb | None = None
+    repeat: RepeatVerb | None = None
+    turn: TurnVerb | None = None
+    read: ReadVerb | None = None
+    input: InputVerb | None = None
+    wait: WaitVerb | None = None
+    settle: SettleVerb | None = None
+    prompt: PromptVerb | None = None
+    temperature: TemperatureVerb | None = None
+    temperatures: TemperaturesVerb | None = None
+    include: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bare_read(cls, written: Any) -> Any:
+        """`- read:` with nothing after it is a reading as the section `reading` says."""
+        if isinstance(written, dict) and "read" in written and written["read"] is None:
+            return {**written, "read": {}}
+        return written
+
+    @model_validator(mode="after")
+    def _one_verb(self) -> StepEntry:
+        given = [verb for verb in VERBS if getattr(self, verb) is not None]
+        if len(given) != 1:
+            got = f", not {' and '.join(given)} together" if given else ", and this one has none"
+            raise ValueError(f"a step has one of the verbs {', '.join(VERBS)}{got}")
+        return self
+
+
+class IncludedFile(FileModel):
+    """A file that others include: whole procedures can be, and then their own `reading` holds inside."""
+
+    procedure: str | None = None
+    title: str = ""
+    reading: ReadingSection | None = None
+    on_failure: FailureSection | None = None
+    operator_time: OperatorTimeSection = OperatorTimeSection()
+    steps: Steps
+
+
+class ProcedureFile(IncludedFile):
+    """A procedure file."""
+
+    procedure: str

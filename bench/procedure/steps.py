@@ -1,0 +1,257 @@
+"""The steps of a plan: what each does, frozen, and how it is told. None of them touches an instrument.
+
+Every step has a `key`, unique in its plan and the same each time the procedure is expanded, such as
+"0012/read/1.2.5": place in the plan (from 1), kind, installation.pass.point (a series other than the
+first follows the installation: "1s2.2.5"). Readings of the shorted and of the reference input are keyed by
+their labels S and R in place of an installation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, Protocol, TypeVar
+
+import numpy as np
+
+from bench.readings.table import REFERENCE, SHORTED
+from drivers.interfaces import Channel, Direction, PromptKind
+
+Settled = Literal["signals", "temperature"]
+InputSource = Literal["signal", "short", "reference"]
+
+SETTLING: Final = "settling"
+"""The reason of a wait between a turn and its reading."""
+
+_APPROACH: Final[Mapping[Direction, str]] = {1: "rising", -1: "falling"}
+_UNITS: Final[Mapping[Settled, str]] = {"signals": "V", "temperature": "K"}
+_INPUTS: Final = {SHORTED: "the shorted input", REFERENCE: "the reference input"}
+_SECONDS: Final = ((3600.0, "h"), (60.0, "min"), (1.0, "s"))
+
+
+@dataclass(frozen=True, slots=True)
+class OnFailure:
+    """What becomes of a step that fails: so many repeats, then the run stops or goes on without its result."""
+
+    repeats: int = 1
+    then: Literal["stop", "continue"] = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """The operator mounts the block in an installation; `series` numbers the visits to it."""
+
+    key: str
+    installation: str
+    series: int
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        return f"mount the block in installation {told_mount(self.installation, self.series)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """The head is turned to an angle, arriving with rising (+1) or falling (-1) angle."""
+
+    key: str
+    installation: str
+    series: int
+    pass_number: int
+    point: int
+    target_rad: float
+    direction: Direction
+    on_failure: OnFailure = OnFailure()
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        return (
+            f"turn the head to {_degrees(self.target_rad)}, {_APPROACH[self.direction]}, for {_point(self)}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Bench time passes."""
+
+    key: str
+    duration_s: float
+    reason: str
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        return f"wait {told_duration(self.duration_s)}: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True)
+class Settle:
+    """The bench waits until what it watches has settled; one that has not after `timeout_s` is a failure.
+
+    Settled: every sample of the last `window_s` lies within `precision` (V or K, by `what`) and one sample is
+    older than the window. A sample is taken each `interval_s`.
+    """
+
+    key: str
+    what: Settled
+    precision: float
+    window_s: float
+    timeout_s: float
+    interval_s: float
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        whose = "signals stay" if self.what == "signals" else "temperature stays"
+        return (
+            f"wait until the {whose} within {told_precision(self)} for {told_duration(self.window_s)}, "
+            f"at most {told_duration(self.timeout_s)}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SelectInput:
+    """The operator switches all three inputs of the voltmeters; `reference_v` is given for a reference."""
+
+    key: str
+    source: InputSource
+    reference_v: float | None = None
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        match self.source:
+            case "short":
+                return "short the three inputs"
+            case "reference":
+                return f"switch the three inputs to the reference of {self.reference_v:g} V"
+            case "signal":
+                return "switch the three inputs back to the signals"
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """The voltmeters take one reading: `samples` samples of `nplc` power-line cycles each.
+
+    A reading of the shorted or reference input (installation S, R) has neither target nor direction. `scan` is
+    the order in which the channels are read, such as "zyx"; empty for that of the bench file.
+    """
+
+    key: str
+    installation: str
+    series: int
+    pass_number: int
+    point: int
+    target_rad: float | None
+    direction: Direction | None
+    samples: int
+    nplc: float
+    on_failure: OnFailure = OnFailure()
+    scan: str = ""
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        where = "" if self.target_rad is None else f" at {_degrees(self.target_rad)}"
+        return (
+            f"read {_point(self)}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
+            f"{told_scan(self)}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """The operator answers a question; the fields are those of `drivers.interfaces.Prompt`."""
+
+    key: str
+    kind: PromptKind
+    text: str
+    default: str | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    minimum: float | None = None
+    maximum: float | None = None
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        default = "" if self.default is None else f" [{self.default}]"
+        return f"ask: {self.text}{default}"
+
+
+@dataclass(frozen=True, slots=True)
+class SetTemperature:
+    """The chamber is set to a temperature; the soak is a `Wait` of its own."""
+
+    key: str
+    target_c: float
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        return f"set the chamber to {self.target_c:g} °C"
+
+
+Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature
+
+
+# --- the order of the channels ----------------------------------------------------------------------
+
+
+class _HasChannels(Protocol):
+    @property
+    def channels(self) -> tuple[Channel, ...]: ...
+
+
+_Meter = TypeVar("_Meter", bound=_HasChannels)
+
+
+def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
+    """Return the meters in the order in which they are triggered for a scan such as "zyx"; as listed for none.
+
+    A meter of several channels stands where its first one does; among its own it keeps its own order.
+    """
+    return sorted(meters, key=lambda meter: scan.find(meter.channels[0])) if scan else list(meters)
+
+
+def read_order(meters: Sequence[_HasChannels]) -> str:
+    """Return the order in which meters read the channels that are triggered one after the other: "xyz"."""
+    return "".join(channel for meter in meters for channel in meter.channels)
+
+
+# --- in words ---------------------------------------------------------------------------------------
+
+
+def told_mount(installation: str, series: int) -> str:
+    """Return an installation as it is told: "1", on a later visit "1 (series 2)"."""
+    return installation if series == 1 else f"{installation} (series {series})"
+
+
+def told_duration(seconds: float) -> str:
+    """Return a duration in the largest unit in which it is a plain number: "1 h", "90 s"."""
+    for size, unit in _SECONDS:
+        if seconds >= size and seconds % size == 0.0:
+            return f"{seconds / size:g} {unit}"
+    return f"{seconds:g} s"
+
+
+def told_precision(step: Settle) -> str:
+    """Return the precision of a settling with its unit: "50 µV", "0.1 K"."""
+    if step.what == "signals" and step.precision < 0.01:
+        size, unit = (1e-6, "µV") if step.precision < 1e-3 else (1e-3, "mV")
+        return f"{step.precision / size:g} {unit}"
+    return f"{step.precision:g} {_UNITS[step.what]}"
+
+
+def told_place(step: Turn | Read) -> str:
+    """Return what a step turns in or reads: "installation 1", "the shorted input", with a further series."""
+    if step.installation in _INPUTS:
+        return _INPUTS[step.installation] + ("" if step.series == 1 else f" (series {step.series})")
+    return f"installation {told_mount(step.installation, step.series)}"
+
+
+def told_scan(step: Read) -> str:
+    """Return in which order the channels are read, to be told after the rest; empty where nothing is said."""
+    return f", the channels in the order {', '.join(step.scan)}" if step.scan else ""
+
+
+def _point(step: Turn | Read) -> str:
+    return f"{told_place(step)}, pass {step.pass_number}, point {step.point}"
+
+
+def _degrees(angle_rad: float) -> str:
+    return f"{round(float(np.degrees(angle_rad)), 6):g}°"

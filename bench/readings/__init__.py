@@ -1,0 +1,1 @@
+"""Tables of readings: in memory, as a readings file, several joined."""

@@ -1,0 +1,335 @@
+"""The readings file: CSV (RFC 4180, UTF-8, dot as decimal sign) to a table of readings and back."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from bench.readings.table import (
+    FREE,
+    REFERENCE,
+    SCAN_ORDER,
+    SHORTED,
+    UNITS,
+    UNORIENTED,
+    VERIFICATION,
+    Floats,
+    Readings,
+    scan_order,
+)
+
+LISTED_AT_ONCE: Final = 20
+OVERLOAD: Final = 9.0e37
+REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
+OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
+AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v")
+"""Promised columns that no number is made of here."""
+
+
+class ReadingsError(ValueError):
+    """A readings file that cannot be used; the text lists what is wrong, a line each."""
+
+
+@dataclass
+class _Columns:
+    """The table under construction, one list per column."""
+
+    values: dict[str, list[float]] = field(default_factory=dict)
+    installation: list[str] = field(default_factory=list)
+    extra: dict[str, list[str]] = field(default_factory=dict)
+
+
+class _BadCell(ValueError):
+    """One cell that cannot be read: which column, what was expected."""
+
+    def __init__(self, column: str, problem: str) -> None:
+        super().__init__(problem)
+        self.column = column
+
+
+def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool = False) -> Readings:
+    """Read a readings file.
+
+    `installations` are the labels that the bench file knows; V, F, S and R are always known.
+    Raises `ReadingsError` with file, line, column and what was expected for every bad row (the first 20,
+    then a count); with `skip_bad_rows` they are left out and listed in `Readings.skipped`.
+    """
+    header, body = split_table(path, _example_header())
+    suffix = _signal_suffix(path, header)
+    signals = [f"u{axis}_{suffix}" for axis in "xyz"]
+    known = {*REQUIRED, *OPTIONAL, *AS_TEXT, *signals, *(f"u{axis}_sd_{suffix}" for axis in "xyz")}
+    labels = {*installations, VERIFICATION, FREE, SHORTED, REFERENCE}
+
+    columns = _Columns()
+    bad: list[str] = []
+    verification_missing = 0
+    seen: dict[tuple[float, str, float, float], int] = {}
+    for line, cells in body:
+        try:
+            row = _row(header, cells, signals, labels)
+            key = (row["series"], cells[header.index("installation")].strip(), row["pass"], row["point"])
+            if key in seen:
+                raise _BadCell(
+                    "point",
+                    f"series {key[0]:g}, installation {key[1]}, pass {key[2]:g}, point {key[3]:g} "
+                    f"stands already in line {seen[key]}; each may stand once (use the column 'series' "
+                    "for a second visit)",
+                )
+        except _BadCell as problem:
+            bad.append(f"{path}, line {line}, column {problem.column}: {problem}")
+            verification_missing += VERIFICATION in (cell.strip() for cell in cells)
+            continue
+        seen[key] = line
+        columns.installation.append(key[1])
+        for name, value in row.items():
+            columns.values.setdefault(name, []).append(value)
+        for name, cell in zip(header, cells, strict=True):
+            if name not in known or name in AS_TEXT:
+                columns.extra.setdefault(name, []).append(cell)
+
+    if bad and not (skip_bad_rows and columns.installation):
+        raise ReadingsError(_listing(bad))
+    if not columns.installation:
+        raise ReadingsError(f"{path}: no reading in it; expected a header line and a row for each reading")
+    unknown = [name for name in header if name not in known]
+    notes = (f"columns kept and not used: {', '.join(unknown)}",) if unknown else ()
+    table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
+    return replace(table, verification_missing=verification_missing)
+
+
+def split_table(path: Path, example: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the header in small letters, and the rows that are not empty, each with its line number.
+
+    `example` is a header that the file could have. Raises `ReadingsError` when the file is no CSV table.
+    """
+    try:
+        # newline="": line ends inside quoted cells stay as they are
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            text = file.read()
+    except OSError as error:
+        raise ReadingsError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except UnicodeDecodeError as error:
+        raise ReadingsError(f"{path}: not a UTF-8 text file; save it as CSV in UTF-8") from error
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        header = _without_empty_end([name.strip().lower() for name in next(reader, [])], 0)
+        body = []
+        line = reader.line_num + 1
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                body.append((line, _without_empty_end(cells, len(header))))
+            line = reader.line_num + 1
+    except csv.Error as error:
+        raise ReadingsError(f"{path}, line {reader.line_num}: not CSV ({error})") from error
+    if not header:
+        raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        raise ReadingsError(f"{path}, line 1: columns must be separated by commas (and decimals by a dot)")
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} stands more than once")
+    return header, body
+
+
+def _without_empty_end(cells: list[str], least: int) -> list[str]:
+    """Return the cells without empty ones beyond the first `least`: spreadsheets pad lines with commas."""
+    while len(cells) > least and cells[-1].strip() == "":
+        cells = cells[:-1]
+    return cells
+
+
+def _signal_suffix(path: Path, header: list[str]) -> str:
+    """Return the unit suffix that all three signal columns share; refuse a header that lacks a column."""
+    present = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]
+    missing = [name for name in REQUIRED if name not in header]
+    if len(present) > 1:
+        raise ReadingsError(
+            f"{path}, line 1: signal columns in different units ({', '.join(present)}); "
+            "all three must be alike, such as ux_v, uy_v, uz_v"
+        )
+    suffix = present[0] if present else "v"
+    missing += [f"u{axis}_{suffix}" for axis in "xyz" if f"u{axis}_{suffix}" not in header]
+    if missing:
+        raise ReadingsError(
+            f"{path}, line 1: column {', '.join(missing)} is missing; expected at least {_example_header()}"
+        )
+    return suffix
+
+
+def _example_header() -> str:
+    return ",".join([*REQUIRED, "ux_v", "uy_v", "uz_v"])
+
+
+def _row(
+    header: list[str], cells: list[str], signals: list[str], labels: Collection[str]
+) -> dict[str, float]:
+    """Return the numbers of one row by column; raises `_BadCell` for the first cell that is wrong."""
+    if len(cells) != len(header):
+        raise _BadCell(
+            header[min(len(cells), len(header) - 1)],
+            f"expected {len(header)} cells as in the header, got {len(cells)}"
+            + (" (is there a decimal comma?)" if len(cells) > len(header) else ""),
+        )
+    text = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
+    label = text["installation"]
+    if label not in labels:
+        raise _BadCell(
+            "installation",
+            f"expected one of {', '.join(sorted(labels))} (a bench file can define more), got {label!r}",
+        )
+    row = {
+        "series": _integer(text, "series", default=1),
+        "pass": _integer(text, "pass"),
+        "point": _integer(text, "point"),
+        "angle_deg": _angle(text, "angle_deg", optional=label in UNORIENTED),
+        "target_deg": _angle(text, "target_deg", optional=True),
+        "direction": _direction(text),
+        "time_s": _number(text, "time_s", "a time in seconds", optional=True),
+        "temperature_c": _number(text, "temperature_c", "a temperature in °C", optional=True),
+        "samples": _integer(text, "samples", default=1),
+    }
+    try:
+        scan_order(text.get(SCAN_ORDER, ""))
+    except ValueError as problem:
+        raise _BadCell(SCAN_ORDER, str(problem)) from None
+    for name in signals:
+        row[name] = _number(text, name, "a number with a dot as decimal sign")
+        sd = name[:2] + "_sd" + name[2:]
+        row[sd] = _number(text, sd, "a standard deviation", optional=True)
+    return row
+
+
+def _number(text: dict[str, str], column: str, expected: str, *, optional: bool = False) -> float:
+    cell = text.get(column, "")
+    if cell == "" and optional:
+        return math.nan
+    try:
+        if "_" in cell:
+            raise ValueError
+        value = float(cell)
+    except ValueError:
+        raise _BadCell(column, f"expected {expected}, got {cell!r}") from None
+    if abs(value) >= OVERLOAD and math.isfinite(value):
+        raise _BadCell(
+            column, f"the voltmeter was overloaded ({cell}); measure this point again on a higher range"
+        )
+    if not math.isfinite(value):
+        raise _BadCell(column, f"expected {expected}, got {cell!r}")
+    return value
+
+
+def _integer(text: dict[str, str], column: str, *, default: int | None = None) -> float:
+    if default is not None and text.get(column, "") == "":
+        return float(default)
+    value = _number(text, column, "a whole number, 1 or more")
+    if value != int(value) or not 1 <= value < 2**31:
+        raise _BadCell(column, f"expected a whole number, 1 or more, got {text[column]!r}")
+    return value
+
+
+def _angle(text: dict[str, str], column: str, *, optional: bool) -> float:
+    value = _number(text, column, "an angle in degrees", optional=optional)
+    if abs(value) > 720:
+        raise _BadCell(column, f"expected an angle in degrees between -720 and 720, got {text[column]!r}")
+    return value
+
+
+def _direction(text: dict[str, str]) -> float:
+    value = _number(text, "direction", "+1 (rising), -1 (falling) or nothing", optional=True)
+    if math.isnan(value):
+        return 0.0
+    if value not in {1.0, -1.0}:
+        raise _BadCell(
+            "direction", f"expected +1 (rising), -1 (falling) or nothing, got {text['direction']!r}"
+        )
+    return value
+
+
+def _listing(bad: list[str]) -> str:
+    lines = bad[:LISTED_AT_ONCE]
+    if len(bad) > LISTED_AT_ONCE:
+        lines.append(f"… and {len(bad) - LISTED_AT_ONCE} more bad rows ({len(bad)} in all)")
+    lines.append("nothing was used; mend the rows, or leave them out with --skip-bad-rows")
+    return "\n".join(lines)
+
+
+def _assemble(
+    source: str,
+    unit: str,
+    signals: list[str],
+    columns: _Columns,
+    notes: tuple[str, ...],
+    bad: tuple[str, ...],
+) -> Readings:
+    values = {name: np.array(column, dtype=np.float64) for name, column in columns.values.items()}
+    return Readings(
+        source=source,
+        unit=unit,
+        series=values["series"].astype(np.int64),
+        installation=np.array(columns.installation, dtype=np.str_),
+        pass_number=values["pass"].astype(np.int64),
+        point=values["point"].astype(np.int64),
+        angle_rad=np.radians(values["angle_deg"]),
+        target_rad=np.radians(values["target_deg"]),
+        direction=values["direction"].astype(np.int64),
+        time_s=values["time_s"],
+        temperature_c=values["temperature_c"],
+        signal=np.stack([values[name] for name in signals], axis=1),
+        signal_sd=np.stack([values[name[:2] + "_sd" + name[2:]] for name in signals], axis=1),
+        samples=values["samples"].astype(np.int64),
+        extra={name: np.array(cells, dtype=np.str_) for name, cells in columns.extra.items()},
+        notes=notes,
+        skipped=bad,
+    )
+
+
+def write_csv(readings: Readings, path: Path) -> None:
+    """Write a readings file with all the columns that the table has; text columns as they came."""
+    path.write_text(format_csv(readings), encoding="utf-8", newline="")
+
+
+def format_csv(readings: Readings) -> str:
+    """Return the readings file as text.
+
+    Numbers are written so that they read back to the same value, angles to within 1e-12 degrees.
+    """
+    suffix = next(s for s, unit in UNITS.items() if unit == readings.unit)
+    table: dict[str, Iterable[str]] = {
+        "series": (str(v) for v in readings.series),
+        "installation": readings.installation.tolist(),
+        "pass": (str(v) for v in readings.pass_number),
+        "point": (str(v) for v in readings.point),
+        "angle_deg": (_text(v) for v in _degrees(readings.angle_rad)),
+        "target_deg": (_text(v) for v in _degrees(readings.target_rad)),
+        "direction": ("" if v == 0 else f"{v:+d}" for v in readings.direction),
+        "time_s": (_text(v) for v in readings.time_s),
+        "temperature_c": (_text(v) for v in readings.temperature_c),
+        "samples": (str(v) for v in readings.samples),
+    }
+    for i, axis in enumerate("xyz"):
+        table[f"u{axis}_{suffix}"] = (_text(v) for v in readings.signal[:, i])
+    for i, axis in enumerate("xyz"):
+        table[f"u{axis}_sd_{suffix}"] = (_text(v) for v in readings.signal_sd[:, i])
+    table.update({name: cells.tolist() for name, cells in readings.extra.items()})
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\r\n")
+    writer.writerow(table)
+    writer.writerows(zip(*table.values(), strict=True))
+    return out.getvalue()
+
+
+def _degrees(angle_rad: Floats) -> Floats:
+    # rounded, or 100.1 degrees would come back from radians as 100.10000000000001
+    return np.asarray(np.round(np.degrees(angle_rad), 12), dtype=np.float64)
+
+
+def _text(value: float) -> str:
+    """Shortest text that reads back to the same value; empty for not given."""
+    return "" if math.isnan(value) else repr(float(value))

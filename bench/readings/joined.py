@@ -1,0 +1,106 @@
+"""Tables of readings of one block on one bench, made into one table: one body of data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.readings.table import Readings
+
+Floats = NDArray[np.float64]
+
+BETWEEN_S: Final = 3600.0
+"""From the last reading of a table to the first of the next, s, where nobody knows better."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A table and the time at which its clock began, s of any common clock; None where it is not known."""
+
+    readings: Readings
+    began_s: float | None = None
+
+
+def together(parts: Sequence[Part]) -> Readings:
+    """Return one table of several, in the order in which they were measured.
+
+    Series are renumbered so that no mounting of one table is taken for one of another: the first table keeps
+    its own, each further one begins after the last series before it. Times run on: with the real distance
+    where every table has its beginning and none begins before another ends, else `BETWEEN_S` apart; rows
+    without a time get one at the pace of `Conditions.elapsed_s`. `notes` say which table became what. Raises
+    `ValueError` for tables in different units.
+    """
+    units = {part.readings.unit: part.readings.source for part in parts}
+    if len(units) > 1:
+        told = ", ".join(f"{source} in {unit}" for unit, source in units.items())
+        raise ValueError(f"signals in different units cannot be taken together: {told}")
+    ordered, starts, real = _starts(parts)
+    tables: list[Readings] = []
+    notes: list[str] = []
+    last_series = 0
+    for part, start_s in zip(ordered, starts, strict=True):
+        table = part.readings
+        shift = last_series - (int(table.series.min()) - 1) if tables else 0
+        tables.append(replace(table, series=table.series + shift, time_s=start_s + _elapsed_s(table)))
+        last_series = int(tables[-1].series.max())
+        first_series = int(tables[-1].series.min())
+        series = f"series {first_series}" + (f" to {last_series}" if last_series > first_series else "")
+        begun = f", begun {start_s / 3600.0:.2f} h after the first" if len(tables) > 1 else ""
+        notes.append(
+            f"{table.source} is {series}{begun}{'' if real or not begun else ' (set, not measured)'}"
+        )
+    return _joined(tables, tuple(notes))
+
+
+def _elapsed_s(table: Readings) -> Floats:
+    """Times from the first reading on."""
+    elapsed = table.conditions().elapsed_s
+    return np.asarray(elapsed - elapsed[0])
+
+
+def _starts(parts: Sequence[Part]) -> tuple[list[Part], list[float], bool]:
+    """Return the tables in order, when the first reading of each was taken, s, and whether that is measured."""
+    lasts = {id(part): float(_elapsed_s(part.readings).max()) for part in parts}
+    known = [p.began_s + _first_s(p.readings) for p in parts if p.began_s is not None]
+    if len(known) == len(parts):
+        order = np.argsort(known, kind="stable")
+        ordered = [parts[i] for i in order]
+        starts = [known[i] - min(known) for i in order]
+        ends = [start + lasts[id(part)] for start, part in zip(starts, ordered, strict=True)]
+        if all(later >= end for end, later in zip(ends, starts[1:], strict=False)):
+            return ordered, starts, True
+    starts = [0.0]
+    for part in parts[:-1]:
+        starts.append(starts[-1] + lasts[id(part)] + BETWEEN_S)
+    return list(parts), starts, False
+
+
+def _first_s(table: Readings) -> float:
+    return float(table.time_s[0]) if np.isfinite(table.time_s[0]) else 0.0
+
+
+def _joined(tables: Sequence[Readings], notes: tuple[str, ...]) -> Readings:
+    columns: dict[str, Any] = {
+        of.name: np.concatenate([getattr(table, of.name) for table in tables])
+        for of in fields(Readings)
+        if isinstance(getattr(tables[0], of.name), np.ndarray)
+    }
+    extra = {
+        name: np.concatenate(
+            [table.extra.get(name, np.full(len(table), "", dtype=np.str_)) for table in tables]
+        )
+        for name in dict.fromkeys(name for table in tables for name in table.extra)
+    }
+    return replace(
+        tables[0],
+        source=" + ".join(table.source for table in tables),
+        **columns,
+        extra=extra,
+        notes=(*notes, *(f"{table.source}: {note}" for table in tables for note in table.notes)),
+        skipped=tuple(text for table in tables for text in table.skipped),
+        verification_missing=sum(table.verification_missing for table in tables),
+    )

@@ -1,0 +1,109 @@
+"""The page of a budget: one HTML file that needs nothing but itself, from the result as JSON has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from bench.base.numbers import fixed
+from bench.report.budget.plots import contributions, modulus
+from bench.report.page import RULES
+from bench.report.tables import Row, symbol
+from bench.report.template import page_template
+
+
+def render_budget(result: Mapping[str, Any]) -> str:
+    """Return the page; the same result gives the same text."""
+    check = result["verification"]
+    return page_template("budget.html.j2").render(
+        result=result,
+        headings=["source", *(symbol(name) for name in result["order"])],
+        coefficients=_coefficients(result),
+        sources=_sources(result),
+        accelerations=_accelerations(result),
+        points=_points(result),
+        verdict={True: "passed", False: "failed", None: "none"}[check["capable"]],
+        limit=f"{1e6 * check['limit_g']:g}",
+        rule_in_words=RULES[check["rule"]],
+        monte_carlo=_monte_carlo(result),
+        contributions=Markup(contributions(result).svg()),  # noqa: S704 - our own drawing
+        modulus=Markup(modulus(result).svg()),  # noqa: S704
+    )
+
+
+def _coefficients(result: Mapping[str, Any]) -> list[Row]:
+    rows = [
+        Row(f"{name}{' *' if source['prior'] else ''}", _micro(source["contribution_u"]))
+        for name, source in result["sources"].items()
+    ]
+    told = [result["coefficients"][name] for name in result["order"]]
+    rows.append(Row("stand, as calibrate states", _micro(result["groups"]["stand"]["u"])))
+    rows.append(Row("combined u, per local g", _micro(result["per_local_g"]["u"])))
+    rows.append(Row("combined u", _micro([one["u"] for one in told])))
+    rows.append(
+        Row("effective dof", tuple("∞" if one["dof"] is None else f"{one['dof']:.0f}" for one in told))
+    )
+    rows.append(Row("k", tuple(f"{one['k']:.2f}" for one in told)))
+    rows.append(Row("U", _micro([one["U"] for one in told])))
+    return rows
+
+
+def _sources(result: Mapping[str, Any]) -> list[Row]:
+    return [
+        Row(
+            f"{name} ({source['symbol']})",
+            (
+                source["shown"], source["distribution"], source["common_to"],
+                "∞" if source["dof"] is None else f"{source['dof']:g}", source["origin"],
+            ),
+        )
+        for name, source in result["sources"].items()
+    ]  # fmt: skip
+
+
+def _accelerations(result: Mapping[str, Any]) -> list[Row]:
+    rows = []
+    for told in result["acceleration"]["magnitudes"]:
+        name, share = max(told["share"].items(), key=lambda item: item[1])
+        sizes = [told[key] for key in ("u_modulus_mean", "u_modulus_max", "U_modulus_max", "u_vector_mean")]
+        rows.append(Row(f"{told['magnitude_g']:g} g", (*_micro(sizes), f"{name} ({100 * share:.0f} %)")))
+    return rows
+
+
+def _points(result: Mapping[str, Any]) -> list[Row]:
+    return [
+        Row(
+            f"point {point['point']} at {point['angle_deg']:g}°",
+            (
+                *_micro([point["u"], point["U"]]),
+                fixed(1e6 * point["accepted_up_to"], 1) if point["accepted_up_to"] > 0 else "nothing",
+                f"{100 * point['passes']:.4g} %",
+            ),
+            bad=not point["capable"],
+        )
+        for point in result["verification"]["points"]
+    ]
+
+
+def _monte_carlo(result: Mapping[str, Any]) -> list[Row]:
+    if result["monte_carlo"] is None:
+        return []
+    return [
+        Row(
+            name,
+            (
+                *_micro([told["u_linear"], told["u"]]),
+                f"{told['ratio']:.3f}",
+                *_micro([*told["differences"], told["tolerance"]]),
+                "yes" if told["validated"] else "no",
+            ),
+            bad=not told["validated"],
+        )
+        for name, told in result["monte_carlo"]["outputs"].items()
+    ]
+
+
+def _micro(values: Sequence[float]) -> tuple[str, ...]:
+    return tuple(fixed(1e6 * value, 1) if abs(value) >= 5e-8 else "0" for value in values)

@@ -1,0 +1,1 @@
+"""The page of a diagnosis, its figures and its words."""

@@ -1,0 +1,1 @@
+"""Runs: a plan carried out on a bench, recorded, watched, resumed."""

@@ -1,0 +1,95 @@
+"""How wishes reach a run: typed at a prompt, or left in the run's folder by another program."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+from bench.run.states import Wish
+
+CONTROL: Final = "control.jsonl"
+SIGN: Final = ":"
+"""An answer that begins with it is a wish: ":redo", ":skip the cable came loose"."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """A wish, the reason given for it, and whether the person at the prompt has it (or another program)."""
+
+    wish: Wish
+    reason: str = ""
+    by_person: bool = False
+
+
+class OperatorWish(Exception):
+    """The person answered a prompt with a wish; the step that asked is not done."""
+
+    def __init__(self, control: Control) -> None:
+        super().__init__(control.wish.value)
+        self.control = control
+
+
+class Controls(Protocol):
+    """Where wishes come from."""
+
+    def poll(self) -> Control | None:
+        """Return the next wish, None where there is none."""
+        ...
+
+
+class NoControls:
+    """Nobody has a wish."""
+
+    def poll(self) -> Control | None:
+        """Return None."""
+        return None
+
+
+class ControlFile:
+    """Wishes left in the folder of a run, one JSON line each; those that were there before count as heard."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / CONTROL
+        self._heard = self._path.stat().st_size if self._path.exists() else 0
+
+    def poll(self) -> Control | None:
+        """Return the next wish; a half-written line waits, one that is no wish is passed over."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._heard)
+                line = file.readline()
+        except FileNotFoundError:
+            return None
+        if not line.endswith(b"\n"):
+            return None
+        self._heard += len(line)
+        try:
+            said = json.loads(line)
+            return Control(Wish(said["wish"]), str(said.get("reason", "")))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            return None
+
+
+def leave_wish(folder: Path, control: Control) -> None:
+    """Leave a wish in the folder of a run. Raises `OSError` where it cannot be written."""
+    line = json.dumps({"wish": control.wish.value, "reason": control.reason}, ensure_ascii=False)
+    with (folder / CONTROL).open("a", encoding="utf-8") as file:
+        file.write(line + "\n")
+
+
+def parse_wish(text: str) -> Control:
+    """Read a wish as typed, such as ":skip the cable came loose", with or without the sign.
+
+    Raises `ValueError` with the list of wishes for anything else, and for a skip without a reason.
+    """
+    word, _, reason = text.strip().removeprefix(SIGN).partition(" ")
+    try:
+        wish = Wish(word.lower())
+    except ValueError:
+        known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
+        raise ValueError(f"{SIGN}{word} is no wish; there are {known}") from None
+    if wish is Wish.SKIP and not reason.strip():
+        raise ValueError(f"say why: {SIGN}skip REASON")
+    return Control(wish, reason.strip(), by_person=True)

@@ -1,0 +1,175 @@
+"""A run on disk as the analyses see it: its inputs, its history, the readings that stand in it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.procedure.plan import Plan, Read
+from bench.readings.table import REFERENCE_V, SCAN_ORDER, VERIFICATION, Readings, make_readings
+from bench.run.record import MANIFEST, History, RecordError, read_history, read_manifest
+
+PLAN = "plan.json"
+BENCH = "bench.yaml"
+PROCEDURE = "procedure.yaml"
+MODEL = "model.yaml"
+IMPORTED = "readings.csv"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder, read on demand. Raises `RecordError` where something in it cannot be read."""
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the run: its folder's."""
+        return self.folder.name
+
+    @cached_property
+    def manifest(self) -> dict[str, Any]:
+        """What the run was started with."""
+        return read_manifest(self.folder)
+
+    @cached_property
+    def history(self) -> History:
+        """The events, checked."""
+        return read_history(self.folder)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan that was, or is to be, carried out."""
+        try:
+            return Plan.from_json(json.loads((self.folder / PLAN).read_text(encoding="utf-8")))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise RecordError(
+                f"{self.folder / PLAN}: cannot be read ({error}); take it from a copy"
+            ) from error
+
+    @property
+    def created(self) -> str:
+        """Civil time at which the run was begun, empty where its manifest cannot be read."""
+        try:
+            return str(self.manifest.get("created", ""))
+        except RecordError:
+            return ""
+
+    @property
+    def imported(self) -> bool:
+        """Whether the run was made of a readings file."""
+        return "imported" in self.manifest
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the run was made on simulated instruments."""
+        return bool(self.manifest.get("dry_run"))
+
+    def trusted_history(self) -> History:
+        """Return the history. Raises `RecordError` when a line or an input was changed."""
+        if self.history.problems:
+            raise RecordError(
+                f"{self.folder}: the record cannot be trusted: {'; '.join(self.history.problems)}"
+            )
+        return self.history
+
+    def readings(self) -> Readings:
+        """Return the readings on record, in the order of measurement; of a repeated step the last counts.
+
+        Raises `RecordError` when the record was changed, or holds no reading.
+        """
+        by_step: dict[int, dict[str, Any]] = {}
+        for event in self.trusted_history().events:
+            if event.type == "step_done" and "reading" in event.data:
+                step = int(event.data["step"])
+                by_step.pop(step, None)
+                by_step[step] = event.data["reading"]
+        if not by_step:
+            raise RecordError(f"{self.folder}: no reading is recorded in this run")
+        planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
+        table = readings_of(list(by_step.values()), str(self.folder))
+        return replace(
+            table,
+            verification_missing=planned - len(table.verification()),
+            notes=self._unfinished_note(len(by_step)),
+        )
+
+    def _unfinished_note(self, taken: int) -> tuple[str, ...]:
+        """Say how much of the plan was measured, where it is not all."""
+        planned = sum(isinstance(step, Read) for step in self.plan.steps)
+        if taken == planned:
+            return ()
+        state = self.trusted_history().state
+        return (f"the run is {state}: {taken} of {planned} planned readings were taken",)
+
+
+def readings_of(rows: list[dict[str, Any]], source: str) -> Readings:
+    """Make the table of recorded readings (the `reading` of an event, one per row).
+
+    Scan order and reference voltage are among its extra columns where any row has them.
+    """
+
+    def column(name: str) -> list[float]:
+        return [math.nan if row.get(name) is None else float(row[name]) for row in rows]
+
+    told = {
+        name: ["" if row.get(name) is None else str(row[name]) for row in rows]
+        for name in (SCAN_ORDER, REFERENCE_V)
+    }
+    table = make_readings(
+        [str(row["installation"]) for row in rows],
+        [int(row["pass"]) for row in rows],
+        [int(row["point"]) for row in rows],
+        np.radians(column("angle_deg")),
+        np.array([row["mean"] for row in rows]),
+        source=source,
+        unit=str(rows[0].get("unit", "V")),
+        target_rad=np.radians(column("target_deg")),
+        series=[int(row["series"]) for row in rows],
+        direction=[int(row["direction"]) for row in rows],
+        time_s=np.array(column("time_s")),
+        temperature_c=np.array(column("temperature_c")),
+        signal_sd=np.array([[math.nan if v is None else v for v in row["sd"]] for row in rows]),
+        samples=[int(row["samples_taken"]) for row in rows],
+    )
+    extra = {name: np.array(cells, dtype=np.str_) for name, cells in told.items() if any(cells)}
+    return replace(table, extra=extra)
+
+
+def checked_name(name: str) -> str:
+    """Return the name of a run, which is that of its folder and an argument of commands.
+
+    Raises `RecordError` for one that could not be typed, or would lie elsewhere.
+    """
+    if re.fullmatch(r"\w[\w.+-]{0,99}", name) is None:
+        raise RecordError(
+            f"{name!r}: a run's name is a letter or digit, then up to 99 letters, digits, dots, dashes and plusses"
+        )
+    return name
+
+
+def find_run(name: str, runs: Path) -> Run:
+    """Find a run by its name in the folder of runs, or by its path.
+
+    Raises `RecordError` that lists the runs there are.
+    """
+    for folder in (runs / name, Path(name)):
+        if (folder / MANIFEST).is_file():
+            return Run(folder)
+    there = ", ".join(run.name for run in all_runs(runs)[-5:]) or "none"
+    raise RecordError(f"{name}: no run of that name in {runs} and no such path; the latest runs are: {there}")
+
+
+def all_runs(runs: Path) -> list[Run]:
+    """Return the runs in a folder, oldest first."""
+    if not runs.is_dir():
+        return []
+    found = [Run(folder) for folder in runs.iterdir() if (folder / MANIFEST).is_file()]
+    return sorted(found, key=lambda run: (run.created, run.name))

@@ -1,0 +1,150 @@
+"""What a record says is done, and where an interrupted run goes on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
+from bench.run.record import Event, History
+
+
+@dataclass
+class Progress:
+    """Which steps of a plan are done, left out, and how often each was begun anew on request.
+
+    `temperature_c` is the last one on record, `identities` those of the instruments; `remounts` gives the
+    series that readings of a (series, installation) have since the block was taken off and mounted again in
+    the middle of it.
+    """
+
+    done: set[int] = field(default_factory=set)
+    skipped: set[int] = field(default_factory=set)
+    redone: Counter[int] = field(default_factory=Counter)
+    begun_s: dict[int, float] = field(default_factory=dict)
+    temperature_c: float | None = None
+    identities: dict[str, str] = field(default_factory=dict)
+    remounts: dict[tuple[int, str], int] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, history: History) -> Progress:
+        """Return what the events of a run say."""
+        progress = cls()
+        for event in history.events:
+            progress.take(event)
+        return progress
+
+    def take(self, event: Event) -> None:
+        """Take note of an event."""
+        if event.type in {"run_started", "run_resumed"}:
+            self.identities = dict(event.data["instruments"])
+        elif event.type == "step_started":
+            self.begun_s[int(event.data["step"])] = event.bench_s
+        elif event.type == "step_done":
+            self.done.add(int(event.data["step"]))
+            self._note_temperature(event.data)
+        elif event.type == "remounted":
+            place = (int(event.data["series"]), str(event.data["installation"]))
+            self.remounts[place] = int(event.data["now_series"])
+        elif event.type in {"redo", "skipped"}:
+            steps = range(int(event.data["first"]), int(event.data["last"]) + 1)
+            if event.type == "redo":
+                self.done.difference_update(steps)
+                self.skipped.difference_update(steps)
+                self.redone.update(steps)
+            else:
+                self.skipped.update(steps)
+
+    def _note_temperature(self, data: dict[str, Any]) -> None:
+        """Keep the temperature last told or read; after a new setting it is not known."""
+        known = data.get("reading", data)
+        if "temperature_c" in known:
+            self.temperature_c = known["temperature_c"]
+        elif "target_c" in data:
+            self.temperature_c = None
+
+    def reopen(self, plan: Plan, step: int) -> None:
+        """Take up a point again at `step`: what leads to its open readings is done anew, readings are not."""
+        for index in range(step, end_of_point(plan, step)):
+            if not isinstance(plan.steps[index], Read):
+                self.done.discard(index)
+
+    def attempt(self, step: int) -> int:
+        """Which attempt at a step this is: 1, and one more for each time that it was to be redone."""
+        return 1 + self.redone[step]
+
+    def settled(self, step: int) -> bool:
+        """Whether nothing is left to do about a step."""
+        return step in self.done or step in self.skipped
+
+
+@dataclass(frozen=True)
+class ResumePoint:
+    """Where to go on: `step` is the next one to do, `turn` the turn to make again before it, if any.
+
+    `bench_s` is the bench time (s since the run began) at which `step` was last begun.
+    """
+
+    step: int
+    bench_s: float
+    turn: int | None = None
+
+
+def resume_point(plan: Plan, history: History) -> ResumePoint:
+    """Find where to go on.
+
+    Between a turn and the readings of its point the head may have been moved: the turn is made again, and
+    with it what stands between the last reading taken and the next. Readings taken are never repeated.
+    `step` is `len(plan.steps)` when nothing is left to do.
+    """
+    progress = Progress.of(history)
+    last_s = history.events[-1].bench_s if history.events else 0.0
+    step = next((i for i in range(len(plan.steps)) if not progress.settled(i)), len(plan.steps))
+    turn = turn_before(plan, step)
+    if turn == step or not _reading_is_open(plan, step):
+        return ResumePoint(step, progress.begun_s.get(step, last_s))
+    taken = [i for i in range(turn, step) if isinstance(plan.steps[i], Read)]
+    step = max(taken, default=turn) + 1
+    return ResumePoint(step, progress.begun_s.get(step, last_s), turn)
+
+
+def _reading_is_open(plan: Plan, step: int) -> bool:
+    """Whether `step` lies within a point of which a reading is still to come."""
+    if step == len(plan.steps) or isinstance(plan.steps[step], Turn | Mount | SetTemperature):
+        return False
+    return any(isinstance(later, Read) for later in plan.steps[step : end_of_point(plan, step)])
+
+
+def turn_before(plan: Plan, step: int) -> int:
+    """The last turn before `step` with nothing mounted since; `step` where there is none."""
+    for index in range(min(step, len(plan.steps)) - 1, -1, -1):
+        if isinstance(plan.steps[index], Turn):
+            return index
+        if isinstance(plan.steps[index], Mount | SetTemperature):
+            break
+    return step
+
+
+def end_of_point(plan: Plan, step: int) -> int:
+    """The step after the point that `step` belongs to."""
+    for index in range(step + 1, len(plan.steps)):
+        if isinstance(plan.steps[index], Turn | Mount | SetTemperature):
+            return index
+    return len(plan.steps)
+
+
+def first_of_pass(plan: Plan, turn: int) -> int:
+    """The first turn of the pass to which the turn at `turn` belongs."""
+
+    def place(index: int) -> tuple[int, str, int] | None:
+        step = plan.steps[index]
+        return (step.series, step.installation, step.pass_number) if isinstance(step, Turn) else None
+
+    first = turn
+    for index in range(turn, -1, -1):
+        if isinstance(plan.steps[index], Mount | SetTemperature):
+            break
+        if place(index) == place(turn):
+            first = index
+    return first

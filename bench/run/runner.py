@@ -1,0 +1,282 @@
+"""Carries out a plan: one step after the other, each recorded before the next begins.
+
+The runner knows instruments only by their interfaces and the person only as somebody who answers prompts;
+it cannot tell a simulated bench from a real one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
+from bench.run.control import Control, Controls, NoControls, OperatorWish
+from bench.run.prompts import confirm
+from bench.run.record import Event, Record, RecordError
+from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
+from bench.run.settling import Settling
+from bench.run.states import HEARD, TRANSITIONS, State, Wish
+from bench.run.workbench import NAP_S, Instruments, Workbench
+from drivers.clock import Clock, SystemClock
+from drivers.interfaces import (
+    BadReading,
+    BenchError,
+    InstrumentLost,
+    InstrumentRefused,
+    Person,
+    Prompt,
+    PromptKind,
+)
+
+Observer = Callable[[Event], None]
+Watch = Callable[[dict[str, Any]], list[dict[str, Any]]]
+"""Looks at each reading as it is taken; returns what seems wrong with it, to be recorded."""
+
+WORTH_REPEATING: Final = (BadReading, InstrumentLost, InstrumentRefused)
+"""Failures that may be gone at the next try; a limit or a missing answer will not be."""
+
+NO_REPEAT: Final = OnFailure(repeats=0, then="stop")
+
+
+class RunAborted(Exception):
+    """The person ended the run for good."""
+
+
+@dataclass
+class Runner:
+    """Executes a plan.
+
+    `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
+    resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
+    person's, not the bench's.
+    """
+
+    plan: Plan
+    instruments: Instruments
+    person: Person
+    clock: Clock
+    record: Record
+    range_v: float
+    observers: Sequence[Observer] = ()
+    at_resumed_time: Callable[[float], None] | None = None
+    controls: Controls = field(default_factory=NoControls)
+    progress: Progress = field(default_factory=Progress)
+    patience: Clock = field(default_factory=SystemClock)
+    watch: Watch = lambda reading: []
+    block_limits_c: tuple[float, float] = (-math.inf, math.inf)
+    on_settling: Callable[[Settling], None] = lambda state: None
+    state: State = State.READY
+    _zero_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._workbench = Workbench(
+            self.instruments,
+            self.person,
+            self.clock,
+            self.range_v,
+            self._now_s,
+            self._hear,
+            on_settling=self.on_settling,
+            block_limits_c=self.block_limits_c,
+        )
+
+    def run(self, resume: ResumePoint | None = None) -> None:
+        """Open the instruments, carry out the plan, leave the bench safe.
+
+        A resumed run goes on where `resume` says, after the bench was brought to where the steps before left
+        it; `progress` then says what is done. Raises what went wrong, recorded, after every
+        instrument was made safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`.
+        """
+        start, bench_s = (resume.step, resume.bench_s) if resume else (0, 0.0)
+        self._workbench.visits = self.progress.remounts
+        try:
+            self._zero_s = self.clock.now_s() - bench_s
+            identities = self.instruments.open()
+            self._compare(identities)
+            self._change("run_resumed" if resume else "run_started", step=start, instruments=identities)
+            if resume:
+                self._restore(resume)
+            self._carry_out(start)
+            self._change("run_finished")
+        except KeyboardInterrupt:
+            self._leave("run_interrupted")
+            raise
+        except BenchError as error:
+            self._leave("run_failed", error=str(error), instrument=error.instrument)
+            raise
+        finally:
+            self._left_safe(self.instruments.leave_safe())
+
+    def _carry_out(self, start: int) -> None:
+        index = start
+        while index < len(self.plan.steps):
+            try:
+                self._hear()
+                if not self.progress.settled(index):
+                    self._step(index)
+                index += 1
+            except OperatorWish as wish:
+                index = self._obey(wish.control, index)
+
+    # --- the life of a run ---------------------------------------------------------------------------
+
+    def _change(self, event: str, **data: Any) -> None:
+        self.state = TRANSITIONS[self.state][event]
+        self._emit(event, **data)
+
+    def _leave(self, event: str, **data: Any) -> None:
+        """Record how the run stopped, where it had not ended already."""
+        if event in TRANSITIONS[self.state]:
+            self._change(event, **data)
+
+    def _left_safe(self, to_do: dict[str, str]) -> None:
+        """Record what a person must still do; a record that cannot be written has been told of before."""
+        if to_do:
+            with suppress(RecordError):
+                self._emit("left_safe", to_do=to_do)
+
+    def _emit(self, kind: str, **data: Any) -> None:
+        event = self.record.append(kind, self._now_s(), **data)
+        self.progress.take(event)
+        for observer in self.observers:
+            observer(event)
+
+    def _now_s(self) -> float:
+        return self.clock.now_s() - self._zero_s
+
+    def _compare(self, identities: dict[str, str]) -> None:
+        """Ask before going on with other instruments than those that the run was begun with."""
+        changed = [
+            f"{name} was {before} and is now {identities.get(name, 'gone')}"
+            for name, before in self.progress.identities.items()
+            if identities.get(name) != before
+        ]
+        if changed:
+            text = f"Other instruments than before: {'; '.join(changed)}. Go on with them?"
+            confirm(
+                self.person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"})
+            )
+
+    def _restore(self, resume: ResumePoint) -> None:
+        """Bring the bench to where the steps before the one to go on with left it."""
+        before = self.plan.steps[: resume.step]
+        for kind in (SetTemperature, Mount, SelectInput):
+            last = next((step for step in reversed(before) if isinstance(step, kind)), None)
+            if isinstance(last, SetTemperature):
+                self._workbench.set_temperature(last)
+            elif isinstance(last, Mount):
+                self._remount(last)
+            elif isinstance(last, SelectInput) and last.source != "signal":
+                self._workbench.execute(last)
+        if resume.turn is not None:
+            self._step(resume.turn)
+        self.progress.reopen(self.plan, resume.step)
+        if self.at_resumed_time is not None:
+            self.at_resumed_time(resume.bench_s)
+            self._zero_s = self.clock.now_s() - resume.bench_s
+
+    def _remount(self, step: Mount) -> None:
+        """Ask whether the block is still mounted as it was; if not, its further readings are another visit."""
+        if self._workbench.still_mounted(step):
+            self._workbench.temperature_c = self.progress.temperature_c
+            return
+        highest = max(s.series for s in self.plan.steps if isinstance(s, Mount))
+        visit = highest + 1 + len(self.progress.remounts)
+        self._emit("remounted", installation=step.installation, series=step.series, now_series=visit)
+
+    # --- wishes --------------------------------------------------------------------------------------
+
+    def _hear(self) -> None:
+        """Raise `OperatorWish` when somebody left one."""
+        control = self.controls.poll()
+        if control is not None:
+            raise OperatorWish(control)
+
+    def _obey(self, control: Control, index: int) -> int:
+        """Do as the person wishes at step `index`; return the step to go on with."""
+        if control.wish not in HEARD[self.state]:
+            return self._refuse(control, index, f"the run is {self.state}")
+        match control.wish:
+            case Wish.PAUSE:
+                return self._pause(control, index)
+            case Wish.CONTINUE:
+                self._change("run_continued")
+                return index
+            case Wish.REPEAT_POINT | Wish.REPEAT_PASS:
+                return self._redo(control, index)
+            case Wish.SKIP:
+                last = end_of_point(self.plan, index) - 1
+                self._emit("skipped", first=index, last=last, reason=control.reason)
+                return last + 1
+            case Wish.ABORT:
+                self._change("run_aborted", reason=control.reason)
+                raise RunAborted(control.reason)
+
+    def _refuse(self, control: Control, index: int, why: str) -> int:
+        self._emit("wish_refused", wish=control.wish.value, why=why)
+        return index
+
+    def _pause(self, pause: Control, index: int) -> int:
+        """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
+        self._change("run_paused", reason=pause.reason)
+        while self.state is State.PAUSED:
+            control = self._asked() if pause.by_person else self.controls.poll()
+            if control is None:
+                self.patience.sleep(NAP_S)
+                continue
+            after = self._obey(control, index)
+            if self.state is State.PAUSED and after != index:
+                self._change("run_continued")
+            index = after
+        return index
+
+    def _asked(self) -> Control:
+        """Ask the person who paused the run how to go on."""
+        prompt = Prompt(
+            id=f"pause@{self._now_s():.3f}",
+            kind=PromptKind.CONFIRM,
+            text="Paused. Enter goes on; or :redo, :redo-pass, :skip REASON, :abort",
+            default="yes",
+            action={"do": "wait"},
+        )
+        try:
+            confirm(self.person, prompt)
+        except OperatorWish as wish:
+            return wish.control
+        return Control(Wish.CONTINUE, by_person=True)
+
+    def _redo(self, control: Control, index: int) -> int:
+        """Go back to the turn of the last point, or to the first turn of its pass."""
+        turn = turn_before(self.plan, index)
+        if turn == index:
+            return self._refuse(control, index, "no point was measured since the block was mounted")
+        if control.wish is Wish.REPEAT_PASS:
+            turn = first_of_pass(self.plan, turn)
+        self._emit("redo", first=turn, last=index - 1, wish=control.wish.value)
+        return turn
+
+    # --- steps ---------------------------------------------------------------------------------------
+
+    def _step(self, index: int) -> None:
+        """Carry out a step; a failure that may pass is met as the step says: again, go on, or stop."""
+        step = self.plan.steps[index]
+        policy = step.on_failure if isinstance(step, Read | Turn) else NO_REPEAT
+        for tries_left in range(policy.repeats, -1, -1):
+            self._emit("step_started", step=index, key=step.key, attempt=self.progress.attempt(index))
+            try:
+                result = self._workbench.execute(step)
+            except WORTH_REPEATING as error:
+                if not tries_left and policy.then == "stop":
+                    raise
+                self._emit("step_failed", step=index, key=step.key, error=str(error))
+                continue
+            self._emit("step_done", step=index, key=step.key, attempt=self.progress.attempt(index), **result)
+            for sign in self.watch(result["reading"]) if "reading" in result else []:
+                self._emit("early_sign", step=index, **sign)
+            return
+        # without its turn, a reading of the point would be taken at a wrong angle
+        last = end_of_point(self.plan, index) - 1 if isinstance(step, Turn) else index
+        self._emit("skipped", first=index, last=last, reason=f"failed {policy.repeats + 1} times")

@@ -1,0 +1,224 @@
+"""The terminal: asks the person at the bench, shows how far a run has come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.text import Text
+
+from bench.procedure.plan import Plan
+from bench.run.control import SIGN, OperatorWish, parse_wish
+from bench.run.record import Event
+from bench.run.settling import Settling
+from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
+
+SLOW_TO_LEARN_S: Final = 1800.0
+"""After so much bench time the pace of the run itself counts as much as the plan's expectation."""
+
+HINTS: Final = {
+    PromptKind.CONFIRM: "yes/no",
+    PromptKind.ANGLE: "degrees minutes seconds",
+}
+
+
+class TerminalPerson:
+    """Answers prompts from a text stream: a keyboard, or a file of answers.
+
+    `pause` and `go_on` are called around each question, so that a progress bar does not write over it.
+    """
+
+    def __init__(
+        self,
+        answers: TextIO,
+        console: Console,
+        pause: Callable[[], None] = lambda: None,
+        go_on: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._answers = answers
+        self._console = console
+        self._pause = pause
+        self._go_on = go_on
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Show the prompt and read a line.
+
+        Raises `NoAnswer` at the end of the answers, `OperatorWish` when a wish is typed instead (":redo").
+        """
+        self._pause()
+        try:
+            if prompt.picture:
+                self._console.print(Text(prompt.picture, style="dim"))
+            line = self._line(prompt)
+            while line.startswith(SIGN):
+                try:
+                    raise OperatorWish(parse_wish(line))
+                except ValueError as mistake:
+                    self._console.print(Text(str(mistake)))
+                line = self._line(prompt)
+        finally:
+            self._go_on()
+        if not line:
+            raise NoAnswer(
+                "operator",
+                f"the answers ended at the question: {prompt.text}",
+                "answer the rest when the run goes on",
+            )
+        return Answer(prompt.id, line.strip())
+
+    def _line(self, prompt: Prompt) -> str:
+        _forget_typed_ahead(self._answers)
+        self._console.print(Text(f"» {prompt.text}", style="bold"))
+        self._console.print(Text(f"  [{self._hint(prompt)}] "), end="")
+        line = self._answers.readline()
+        if line and not self._answers.isatty():
+            self._console.print(Text(line.rstrip()))  # as a keyboard would have shown it
+        return line
+
+    @staticmethod
+    def _hint(prompt: Prompt) -> str:
+        hint = HINTS.get(prompt.kind, prompt.unit) if not prompt.choices else ", ".join(prompt.choices)
+        default = f"Enter = {prompt.default}" if prompt.default is not None else ""
+        return "; ".join(part for part in (hint, default) if part)
+
+
+def _forget_typed_ahead(answers: TextIO) -> None:
+    """Drop keys that were hit before the question stood there: they cannot answer it."""
+    if not answers.isatty():
+        return
+    try:
+        import termios
+    except ImportError:  # no such terminals on this system
+        return
+    termios.tcflush(answers.fileno(), termios.TCIFLUSH)
+
+
+class ProgressBar:
+    """An observer of a run that draws a bar: step, installation, pass, point, time left.
+
+    Where the output is not a terminal it prints a line for each mounting and pass instead.
+    """
+
+    def __init__(self, plan: Plan, console: Console, step_s: list[float]) -> None:
+        self._plan = plan
+        self._console = console
+        self._left_s = [*_running_sums(step_s), 0.0]
+        self._begun: tuple[int, float] | None = None
+        self._status = ""
+        self._printed = ""
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %  {task.fields[left]} left"),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._progress.add_task("opening the instruments", total=len(plan.steps), left="")
+
+    def __enter__(self) -> ProgressBar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._progress.stop()
+
+    def pause(self) -> None:
+        """Take the bar away while a question stands, and say where the run is."""
+        self._progress.stop()
+        if self._status:
+            self._console.print(Text(self._status, style="dim"))
+
+    def go_on(self) -> None:
+        """Draw the bar again."""
+        self._progress.start()
+
+    def __call__(self, event: Event) -> None:
+        """Take note of an event of the run."""
+        if event.type == "step_started":
+            index = int(event.data["step"])
+            left = duration(self._time_left_s(index, event.bench_s))
+            text = f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}"
+            self._status = f"{text}; {left} left"
+            self._progress.update(self._task, description=text, completed=index, left=left)
+            self._print_line(index)
+        elif event.type == "step_done":
+            self._progress.update(self._task, completed=int(event.data["step"]) + 1)
+            self._show_reading(event)
+        elif event.type in {"early_sign", "step_failed", "wish_refused", "left_safe"}:
+            self._console.print(Text(told(event), style="bold yellow"))
+
+    def settling(self, state: Settling) -> None:
+        """Show how far what is waited for has settled."""
+        left = "" if state.left_s is None else f", about {duration(state.left_s)} to go"
+        moving = ", ".join(f"{spread:.2g}" for spread in state.spread)
+        self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
+
+    def _time_left_s(self, index: int, bench_s: float) -> float:
+        """Expected time left, corrected by how long the steps so far took against what was expected."""
+        if self._begun is None:
+            self._begun = (index, bench_s)
+        first, begun_s = self._begun
+        expected_s = self._left_s[first] - self._left_s[index]
+        pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
+        return pace * self._left_s[index]
+
+    def _show_reading(self, event: Event) -> None:
+        """Keep the last reading on the screen, above the bar."""
+        reading = event.data.get("reading")
+        if reading and self._console.is_terminal:
+            values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading["mean"], strict=True))
+            where = (
+                f"installation {reading['installation']}, pass {reading['pass']}, point {reading['point']}"
+            )
+            self._console.print(Text(f"{where}: {values} {reading['unit']}", style="dim"))
+
+    def _print_line(self, index: int) -> None:
+        if self._console.is_terminal:
+            return
+        step = self._plan.steps[index]
+        where = getattr(step, "installation", None)
+        if where is None:
+            return
+        number = getattr(step, "pass_number", None)
+        line = f"installation {where}" + (f", pass {number}" if number else "")
+        if number and line != self._printed:
+            self._console.print(f"{line}  (step {index + 1}/{len(self._plan.steps)})", highlight=False)
+            self._printed = line
+
+
+def told(event: Event) -> str:
+    """Return an event that a person should know of as one line."""
+    data = event.data
+    match event.type:
+        case "early_sign":
+            return f"look: {data['sentence']}"
+        case "step_failed":
+            return f"failed, tried again: {data['error']}"
+        case "wish_refused":
+            return f"{data['wish']} is not possible: {data['why']}"
+        case "left_safe":
+            return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
+    return event.type
+
+
+def _running_sums(step_s: list[float]) -> list[float]:
+    """Time left at the beginning of each step."""
+    left: list[float] = []
+    total = 0.0
+    for seconds in reversed(step_s):
+        total += seconds
+        left.append(total)
+    return left[::-1]
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as a person says it: "2 h 05 min", "3 min", "40 s"."""
+    if seconds >= 3600:
+        minutes = round(seconds / 60)
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    if seconds >= 90:
+        return f"{round(seconds / 60)} min"
+    return f"{round(seconds)} s"

@@ -1,0 +1,1 @@
+"""Each reading held against what the readings before it make expected, as it comes."""

@@ -1,0 +1,304 @@
+"""Which classic mistake explains a reading that does not fit: each is supposed in turn and held against the data.
+
+Mistakes of one reading (a wrong setting) are supposed for that reading alone; mistakes of cabling and of
+the procedure also for the whole run or mounting so far, since before the model knows the block they are
+taken for a property of it. The likelihood of all readings decides; equally likely ones are all named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.model import Block, Conditions, ForwardModel
+from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, Pose, poses
+from drivers.angles import format_dms
+
+Floats = NDArray[np.float64]
+
+TIE: Final = 6.0
+"""Two causes whose costs (-2 ln likelihood) differ by less are both named: less than 20 : 1."""
+
+MOVED_RAD: Final = np.radians(1.0)
+CHANNEL_OFF_G: Final = 0.1
+"""Prior 1 σ of how far a block slips, and of how far a single channel is off (in g)."""
+
+MOST_CANDIDATES: Final = 12
+"""Earlier readings that are suspected at once; it bounds the time that a warning takes in a long run."""
+
+_SWAPS: Final[Mapping[str, tuple[int, int, int]]] = {
+    "channels x and y are swapped": (1, 0, 2),
+    "channels x and z are swapped": (2, 1, 0),
+    "channels y and z are swapped": (0, 2, 1),
+    "the channels are exchanged in turn: x shows z, y shows x, z shows y": (1, 2, 0),
+    "the channels are exchanged in turn: x shows y, y shows z, z shows x": (2, 0, 1),
+}
+"""What is wrong, and for each true signal the channel that shows it."""
+
+_SLIPS: Final[Mapping[str, float]] = {"10°": 10.0, "1°": 1.0, "10′": 1 / 6, "1′": 1 / 60}
+
+
+def _cablings() -> dict[str, Floats]:
+    """What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
+    right = {text: np.eye(3)[list(order)] for text, order in _SWAPS.items()}
+    for i, channel in enumerate("xyz"):
+        right[f"channel {channel} is reversed"] = np.diag([-1.0 if j == i else 1.0 for j in range(3)])
+    return right
+
+
+CABLINGS: Final[Mapping[str, Floats]] = _cablings()
+
+
+@dataclass
+class Sighting:
+    """A reading as the early warning keeps it.
+
+    `new_mount` says that the block was mounted before it, `loosened` (12,) by how much the coefficients may
+    have moved, as variances. `taken`: the model has learnt from it; `poorly_known`: when it was taken the
+    model could not yet have seen a mistake in it; `struck`: known to be wrong, or taken again.
+    `poses` are as recorded, with the head's sense reversed, and in each of the other installations.
+    """
+
+    place: str
+    row: Conditions
+    signal_v: Floats
+    pose: Pose
+    new_mount: bool
+    loosened: Floats
+    taken: bool = False
+    poorly_known: bool = False
+    struck: bool = False
+    poses: Pose | None = None
+
+    @property
+    def installation(self) -> str:
+        """The installation that the record states."""
+        return self.row.mounts[0].installation
+
+    @property
+    def angle_rad(self) -> float:
+        """The angle that was read back."""
+        return float(self.row.angle_rad[0])
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A supposition that explains a reading, and its cost.
+
+    `earlier` is the reading that is at fault instead, `member` who in the replay left it out. `moved_rad`
+    with its uncertainty is set where the head or the block is supposed off by an angle.
+    """
+
+    text: str
+    cost: float
+    earlier: int | None = None
+    member: int = 0
+    moved_rad: float | None = None
+    u_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Replay:
+    """All readings gone through once more: the state of each member at the end and what it took in.
+
+    `cost` (m,) of all readings, `before` that of the base member without the last one; `taken` (n, m).
+    """
+
+    state: Expectation
+    cost: Floats
+    before: float
+    taken: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """What every supposition needs: the model, the start, the stand, the noise, the largest chi2 that fits."""
+
+    model: ForwardModel
+    nominal: Block
+    prior: Expectation
+    stand_u: Mapping[str, float]
+    noise: NoiseSizes
+    most: float
+
+    # --- mistakes of one reading ---------------------------------------------------------------------
+
+    def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
+        """Suppose mistakes in this reading alone; `state` has one member, `before` is the cost so far."""
+        return [
+            *self._cabling_now(sighting, state, before),
+            *self._elsewhere(sighting, state, before),
+            *self._off_by_some(sighting, state, before),
+        ]
+
+    def _cabling_now(self, sighting: Sighting, state: Expectation, before: float) -> Iterator[Suspect]:
+        signals = np.stack(list(CABLINGS.values())) @ sighting.signal_v
+        judged = state.judge(signals, sighting.pose, self.noise)
+        yield from self._fitting(list(CABLINGS), judged, before)
+
+    def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> Iterator[Suspect]:
+        """The block in another installation, or the head elsewhere than its scale was read."""
+        told, label, angle = [], sighting.installation, sighting.angle_rad
+        for other in self._others(label):
+            told.append((_wrong_installation(other, label), other, 0.0))
+        if abs(np.sin(angle)) > 1e-6:
+            told.append(("the head stood at 360° - x where x was read", label, -2 * angle))
+        for name, degrees in _SLIPS.items():
+            for sign in (1, -1):
+                off = sign * float(np.radians(degrees))
+                text = f"the setting is {name} off: the head stood at {_dms(angle + off)}"
+                told.append((text, label, off))
+        told.append(("the head stood on the opposite side of its circle (180°)", label, float(np.pi)))
+        texts, labels, offs = (list(column) for column in zip(*told, strict=True))
+        pose = poses(self.model, self.nominal, sighting.row, labels, angle + np.array(offs))
+        judged = state.judge(sighting.signal_v, pose, self.noise)
+        yield from self._fitting(texts, judged, before)
+
+    def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> Iterator[Suspect]:
+        """The block moved in the plane of rotation or out of it, or one channel off, by whatever fits."""
+        scale = state.scale_factors[0]
+        turn = self.model.installations[sighting.installation].block_from_platform
+        size = CHANNEL_OFF_G * np.linalg.norm(scale, axis=1)
+        further = np.stack(
+            [
+                MOVED_RAD * (scale @ sighting.pose.slopes[0, :, SETTING]),
+                MOVED_RAD * (scale @ turn[:, 1]),
+                *np.diag(size),
+            ]
+        )
+        judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
+        weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
+        part = (weighed * judged.residual).sum(axis=-1)
+        left = 1.0 - (weighed * further).sum(axis=-1)
+        moved, u = MOVED_RAD * part, MOVED_RAD * np.sqrt(np.maximum(left, 0.0))
+        texts = [
+            f"block or head is {_dms(abs(moved[0]))} off about the shaft",
+            f"the block is tilted by {_dms(abs(moved[1]))} out of the plane of rotation",
+        ]
+        for i, channel in enumerate("xyz"):
+            off_v = part[2 + i] * size[i]
+            texts.append(f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)")
+        for suspect, index in self._indexed(texts, judged, before):
+            yield (
+                suspect
+                if index
+                else Suspect(suspect.text, suspect.cost, moved_rad=float(moved[0]), u_rad=float(u[0]))
+            )
+
+    def _fitting(self, texts: Sequence[str], judged: Judgement, before: float) -> Iterator[Suspect]:
+        return (suspect for suspect, _ in self._indexed(texts, judged, before))
+
+    def _indexed(
+        self, texts: Sequence[str], judged: Judgement, before: float
+    ) -> Iterator[tuple[Suspect, int]]:
+        cost = judged.cost(self.most)
+        for index, text in enumerate(texts):
+            if judged.chi2[index] <= self.most:
+                yield Suspect(text, before + float(cost[index])), index
+
+    def _others(self, label: str) -> list[str]:
+        return [other for other in self.model.installations if other != label]
+
+    # --- mistakes of the whole run so far ------------------------------------------------------------
+
+    def of_run(self, history: Sequence[Sighting]) -> tuple[list[Suspect], Replay]:
+        """Suppose mistakes since the run or the mounting began, or in one earlier reading alone.
+
+        The last of `history` is the reading to be explained. Member 0 of the replay supposes nothing.
+        """
+        label = history[-1].installation
+        others = self._others(label)
+        left_out = candidates(history)
+        texts = [
+            "",
+            *CABLINGS,
+            "the head counts the other way",
+            *(_wrong_installation(other, label) for other in others),
+            *(f"{history[k].place} was wrong" for k in left_out),
+        ]
+        cabling = np.tile(np.eye(3), (len(texts), 1, 1))
+        cabling[1 : 1 + len(CABLINGS)] = np.stack(list(CABLINGS.values()))
+        pose = np.zeros((len(history), len(texts)), dtype=np.int64)
+        rotation = 1 + len(CABLINGS)
+        pose[:, rotation] = 1
+        mounted = max(i for i, s in enumerate(history) if s.new_mount)
+        for number in range(len(others)):
+            pose[mounted:, rotation + 1 + number] = 2 + number
+        absent = np.zeros((len(history), len(texts)), dtype=bool)
+        for member, k in enumerate(left_out, start=len(texts) - len(left_out)):
+            absent[k, member] = True
+        replay = self.replay(history, cabling, pose, absent)
+        earlier = [None] * (len(texts) - len(left_out)) + list(left_out)
+        return [
+            Suspect(texts[j], float(replay.cost[j]), earlier[j], j)
+            for j in range(1, len(texts))
+            if replay.taken[-1, j]
+        ], replay
+
+    def replay(
+        self,
+        history: Sequence[Sighting],
+        cabling: Floats | None = None,
+        pose: NDArray[np.int64] | None = None,
+        absent: NDArray[np.bool_] | None = None,
+    ) -> Replay:
+        """Go through all readings again; without arguments as they were recorded, with one member.
+
+        `cabling` (m, 3, 3) makes the signals right, `pose` (n, m) chooses among a sighting's poses, `absent`
+        (n, m) leaves readings out, which costs as much as one that does not fit.
+        """
+        members = 1 if cabling is None else len(cabling)
+        state = self.prior.repeated(members)
+        cost, before, taken = np.zeros(members), 0.0, np.zeros((len(history), members), dtype=bool)
+        for i, sighting in enumerate(history):
+            if sighting.new_mount:
+                state.remount(self.stand_u)
+            state.loosen(sighting.loosened)
+            at = sighting.pose if pose is None else _chosen(self._all_poses(sighting), pose[i])
+            signal = sighting.signal_v if cabling is None else cabling @ sighting.signal_v
+            judged = state.judge(signal, at, self.noise)
+            present = np.ones(members, dtype=bool) if absent is None else ~absent[i]
+            taken[i] = (judged.chi2 <= self.most) & present & (not sighting.struck)
+            before = float(cost[0])
+            if not sighting.struck:
+                cost += np.where(present, judged.cost(self.most), self.most + judged.log_det)
+            state.take(judged, taken[i])
+        return Replay(state, cost, before, taken)
+
+    def _all_poses(self, sighting: Sighting) -> Pose:
+        if sighting.poses is None:
+            label, angle = sighting.installation, sighting.angle_rad
+            others = self._others(label)
+            angles = np.array([angle, -angle, *[angle] * len(others)])
+            labels = [label, label, *others]
+            sighting.poses = poses(self.model, self.nominal, sighting.row, labels, angles)
+        return sighting.poses
+
+
+def candidates(history: Sequence[Sighting]) -> list[int]:
+    """Earlier readings in which a mistake could not be seen when they were taken, the latest of them."""
+    poor = [i for i, s in enumerate(history[:-1]) if s.taken and s.poorly_known and not s.struck]
+    return poor[-MOST_CANDIDATES:]
+
+
+def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
+    """Return the suspects that the readings cannot tell from the likeliest one, each text once."""
+    ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
+    best = min((s.cost for s in ranked.values()), default=0.0)
+    return sorted((s for s in ranked.values() if s.cost - best < TIE), key=lambda s: s.cost)
+
+
+def _chosen(pose: Pose, index: NDArray[np.int64]) -> Pose:
+    return Pose(pose.force[index], pose.slopes[index], pose.addition[index])
+
+
+def _wrong_installation(actual: str, stated: str) -> str:
+    return f"the block sits in installation {actual}, not in {stated}"
+
+
+def _dms(angle_rad: float) -> str:
+    return format_dms(angle_rad)

@@ -1,0 +1,315 @@
+"""Carries out single steps on the instruments of a bench and with the person at it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from bench.procedure.plan import Ask, Mount, Read, SelectInput, SetTemperature, Settle, Step, Turn, Wait
+from bench.procedure.steps import in_scan_order, read_order
+from bench.run.mounting import mount_picture, mount_text
+from bench.run.prompts import ask, confirm
+from bench.run.samples import describe
+from bench.run.settling import Criterion, Settling, wait_until_settled
+from drivers.clock import Clock
+from drivers.interfaces import (
+    CHANNELS,
+    BenchError,
+    DividingHead,
+    HeadPosition,
+    Instrument,
+    LimitExceeded,
+    NotConnected,
+    Person,
+    Prompt,
+    PromptKind,
+    ThermalChamber,
+    Voltmeter,
+    VoltmeterSettings,
+)
+
+NAP_S: Final = 1.0
+"""Waiting is cut into naps, so that a wish or Ctrl-C is heard."""
+
+QUICK_NPLC: Final = 1.0
+"""Integration of the samples by which signals are seen to settle: the mains are suppressed, little time spent."""
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """The bench as the runner sees it. Together the voltmeters carry the channels x, y, z once each."""
+
+    voltmeters: Sequence[Voltmeter]
+    head: DividingHead
+    chamber: ThermalChamber | None = None
+
+    def all(self) -> list[Instrument]:
+        """Every instrument, in the order in which they are opened."""
+        return [*self.voltmeters, self.head, *([self.chamber] if self.chamber else [])]
+
+    def open(self) -> dict[str, str]:
+        """Open everything and return the identities by name. Raises every failure at once."""
+        identities: dict[str, str] = {}
+        failures: list[BenchError] = []
+        for instrument in self.all():
+            try:
+                identities[instrument.name] = str(instrument.open())
+            except BenchError as error:
+                failures.append(error)
+        if failures:
+            raise failures[0] if len(failures) == 1 else NotConnected(failures)
+        return identities
+
+    def leave_safe(self) -> dict[str, str]:
+        """Set the chamber to its safe setting, close everything (a head stops, a meter goes to local).
+
+        Returns what a person must still do, by instrument. Never raises.
+        """
+        to_do = {}
+        if self.chamber is not None:
+            try:
+                note = self.chamber.make_safe()
+            except BenchError as error:
+                note = str(error)
+            if note:
+                to_do[self.chamber.name] = note
+        for instrument in self.all():
+            instrument.close()
+        return to_do
+
+
+@dataclass
+class Workbench:
+    """Executes steps. `range_v` is the voltmeters' fixed range, `now_s` the bench time since the run began.
+
+    `visits` gives the series that readings of a (series, installation) are recorded with, where the block
+    was mounted again in the middle of it; `block_limits_c` are the temperatures that the block may have;
+    `temperature_c` is the temperature last read or told.
+    """
+
+    instruments: Instruments
+    person: Person
+    clock: Clock
+    range_v: float
+    now_s: Callable[[], float]
+    between_naps: Callable[[], None] = lambda: None
+    on_settling: Callable[[Settling], None] = lambda state: None
+    block_limits_c: tuple[float, float] = (-math.inf, math.inf)
+    visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
+    _reference_v: float | None = field(default=None, init=False)
+    _position: HeadPosition | None = field(default=None, init=False)
+    temperature_c: float | None = field(default=None, init=False)
+    _settings: VoltmeterSettings | None = field(default=None, init=False)
+
+    def execute(self, step: Step) -> dict[str, Any]:
+        """Carry out a step and return what is recorded of it. Raises `BenchError`."""
+        match step:
+            case Mount():
+                return self.mount(step)
+            case Turn():
+                return self._turn(step)
+            case Read():
+                return {"reading": self._read(step)}
+            case Wait():
+                return self._wait(step.duration_s)
+            case SetTemperature():
+                return self.set_temperature(step)
+            case Settle():
+                return self._settle(step)
+            case SelectInput():
+                return self._select_input(step)
+            case Ask():
+                return self._ask(step)
+
+    def mount(self, step: Mount) -> dict[str, Any]:
+        """Have the block mounted, and the temperature told where a person must tell it."""
+        prompt = Prompt(
+            id=step.key,
+            kind=PromptKind.CONFIRM,
+            text=mount_text(step.installation, step.series),
+            default="yes",
+            action={"do": "mount", "installation": step.installation, "series": step.series},
+            picture=mount_picture(step.installation),
+        )
+        confirm(self.person, prompt)
+        self._position = None
+        chamber = self.instruments.chamber
+        self.temperature_c = chamber.temperature(step.key) if chamber and chamber.asks_person else None
+        return {"temperature_c": self.temperature_c}
+
+    def still_mounted(self, step: Mount) -> bool:
+        """Ask whether the block is still mounted as this step left it; if not, have it mounted."""
+        prompt = Prompt(
+            id=step.key,
+            kind=PromptKind.CHOOSE,
+            text=(
+                f"The block was mounted in installation {step.installation}. Is it untouched since? "
+                "If not, mount it again now, and say so"
+            ),
+            default="untouched",
+            choices=("untouched", "mounted again"),
+            action={"do": "mount", "installation": step.installation, "series": step.series},
+            picture=mount_picture(step.installation),
+        )
+        return ask(self.person, prompt) == "untouched"
+
+    def set_temperature(self, step: SetTemperature) -> dict[str, Any]:
+        """Set the chamber."""
+        self._chamber(f"{step.key}: the procedure sets a temperature").set_temperature(
+            step.target_c, step.key
+        )
+        self.temperature_c = None
+        return {"target_c": step.target_c}
+
+    def _chamber(self, wanted: str) -> ThermalChamber:
+        if self.instruments.chamber is None:
+            raise BenchError(
+                "chamber",
+                f"{wanted}, but the bench has no chamber",
+                "add one to the bench file, or take a procedure without temperatures",
+            )
+        return self.instruments.chamber
+
+    def _turn(self, step: Turn) -> dict[str, Any]:
+        self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
+        return {"angle_deg": _degrees(self._position.angle_rad), "target_deg": _degrees(step.target_rad)}
+
+    def _wait(self, duration_s: float) -> dict[str, Any]:
+        end_s = self.clock.now_s() + duration_s
+        while (left_s := end_s - self.clock.now_s()) > 0:
+            self.between_naps()
+            self.clock.sleep(min(NAP_S, left_s))
+        return {}
+
+    def _settle(self, step: Settle) -> dict[str, Any]:
+        """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""
+        criterion = Criterion(step.precision, step.window_s, step.timeout_s, step.interval_s)
+        if step.what == "signals":
+            self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, 1))
+            state = wait_until_settled(self._signals, criterion, self.clock, self._nap)
+        else:
+            chamber = self._chamber(f"{step.key}: the procedure waits for a temperature")
+            if chamber.asks_person:
+                raise BenchError(
+                    chamber.name,
+                    "a person cannot be asked for the temperature again and again",
+                    "take a plain soak in the procedure, such as 'soak: 4 h'",
+                )
+            state = wait_until_settled(
+                lambda: (chamber.temperature(step.key, settling=True),),
+                criterion,
+                self.clock,
+                self._nap,
+                names=("",),
+                unit="°C",
+            )
+        return {"settled_s": state.elapsed_s, "settled_at": list(state.values)}
+
+    def _signals(self) -> tuple[float, ...]:
+        samples = self._sample(self.instruments.voltmeters)
+        return tuple(samples[channel][-1] for channel in CHANNELS)
+
+    def _nap(self, state: Settling) -> None:
+        self.on_settling(state)
+        self.between_naps()
+
+    def _select_input(self, step: SelectInput) -> dict[str, Any]:
+        """Have the inputs switched; nothing of the head's position holds for a shorted input."""
+        prompt = Prompt(
+            id=step.key,
+            kind=PromptKind.CONFIRM,
+            text=f"{step.describe().capitalize()} (at the meters' terminals)",
+            default="yes",
+            action={"do": "select_input", "source": step.source, "reference_v": step.reference_v},
+        )
+        confirm(self.person, prompt)
+        self._reference_v = step.reference_v if step.source == "reference" else None
+        return {"source": step.source, "reference_v": step.reference_v}
+
+    def _ask(self, step: Ask) -> dict[str, Any]:
+        prompt = Prompt(
+            id=step.key,
+            kind=step.kind,
+            text=step.text,
+            default=step.default,
+            unit=step.unit,
+            choices=step.choices,
+            minimum=step.minimum,
+            maximum=step.maximum,
+            action={"do": "answer"},
+        )
+        return {"answer": ask(self.person, prompt)}
+
+    def _read(self, step: Read) -> dict[str, Any]:
+        self._configure(VoltmeterSettings(self.range_v, step.nplc, step.samples))
+        self._take_temperature(step.key)
+        begun_s = self.now_s()
+        meters = in_scan_order(self.instruments.voltmeters, step.scan)
+        samples = self._sample(meters)
+        statistics = describe(samples)
+        position = self._position if step.target_rad is not None else None
+        return {
+            "installation": step.installation,
+            "series": self.visits.get((step.series, step.installation), step.series),
+            "pass": step.pass_number,
+            "point": step.point,
+            "target_deg": _degrees(step.target_rad),
+            "angle_deg": None if position is None else _degrees(position.angle_rad),
+            "direction": 0 if position is None else position.direction,
+            "time_s": begun_s,
+            "temperature_c": self.temperature_c,
+            "unit": "V",
+            "mean": [statistics[channel]["mean"] for channel in CHANNELS],
+            "sd": [statistics[channel]["sd"] for channel in CHANNELS],
+            "samples_taken": step.samples,
+            "samples": {channel: list(samples[channel]) for channel in CHANNELS},
+            "drift": [statistics[channel]["drift"] for channel in CHANNELS],
+            "drift_p": [statistics[channel]["drift_p"] for channel in CHANNELS],
+            "outlier": [statistics[channel]["outlier"] for channel in CHANNELS],
+            "reference_v": self._reference_v,
+            "scan_order": read_order(meters),
+        }
+
+    def _take_temperature(self, key: str) -> None:
+        """Read the chamber; a person is asked once after each mounting and each new temperature.
+
+        Raises `LimitExceeded` when the block is where it may not be: the run stops, the chamber goes safe.
+        """
+        chamber = self.instruments.chamber
+        if chamber is not None and (self.temperature_c is None or not chamber.asks_person):
+            self.temperature_c = chamber.temperature(key)
+        low_c, high_c = self.block_limits_c
+        if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
+            raise LimitExceeded(
+                "block",
+                f"it is at {self.temperature_c:g} °C, but may be given {low_c:g} to {high_c:g} °C only",
+                "find out why the chamber went there before going on",
+            )
+
+    @staticmethod
+    def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:
+        """Start every meter before the first is waited for, so that the signals are sampled together."""
+        for meter in meters:
+            meter.start()
+        samples: dict[str, tuple[float, ...]] = {}
+        for meter in meters:
+            for channel, values in meter.fetch().items():
+                samples[channel] = values
+        return samples
+
+    def _configure(self, settings: VoltmeterSettings) -> None:
+        if settings == self._settings:
+            return
+        self._settings = None  # a meter that refuses leaves them unknown
+        for meter in self.instruments.voltmeters:
+            meter.configure(settings)
+        self._settings = settings
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    """Degrees to 1e-9, so that 45° is written 45 and nothing that a scale can show is lost."""
+    return None if angle_rad is None else round(float(np.degrees(angle_rad)), 9)

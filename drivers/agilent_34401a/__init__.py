@@ -1,0 +1,1 @@
+"""The HP, Agilent, Keysight 34401A."""

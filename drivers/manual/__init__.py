@@ -1,0 +1,1 @@
+"""A head and a chamber that a person works."""

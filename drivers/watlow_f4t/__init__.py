@@ -1,0 +1,1 @@
+"""Chambers with a Watlow F4T controller."""

@@ -1,0 +1,284 @@
+"""GPIB through an adapter of the Prologix kind (GPIB-ETHERNET, GPIB-USB, and those that speak as they do).
+
+A resource names adapter and GPIB address at once: `prologix://192.0.2.10:1234/22` (the port may be left
+out: 1234), `prologix:///dev/ttyUSB0/22` or `prologix://COM3/22`. Nothing else has to be set up; instruments
+whose resources name the same adapter share its connection and its lock.
+
+An adapter waits no longer than 3 s for a reply, a reading may take minutes: it is asked again until the
+reply is whole. After each such read the adapter is asked for its version. That line cannot come from an
+instrument, so it marks that the read is over, whether it brought something or not: a late reply is never
+taken for that of a later question.
+Source: Prologix GPIB-ETHERNET Controller User Manual and GPIB-USB Controller User Manual, chapters 7, 8.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+from collections.abc import Iterator
+from typing import Final
+
+from pyvisa.constants import StatusCode
+from pyvisa.errors import VisaIOError
+
+from drivers.clock import Clock, SystemClock
+from drivers.wire.causes import WireError
+from drivers.wire.pyvisa_connection import Connection, SerialSettings
+
+SCHEME: Final = "prologix:"
+
+READ_TIMEOUT_MS: Final = 1000
+"""How long the adapter waits within one read; the bus is free for others between two reads."""
+
+_RESOURCE: Final = re.compile(
+    r"prologix://(?:(?P<device>/\S+|COM\d+)|(?P<host>[^\s/:]+)(?::(?P<port>\d{1,5}))?)"
+    r"/(?P<address>\d{1,2})"
+)
+_PORT: Final = "1234"
+_HIGHEST_ADDRESS: Final = 30
+
+_SETTINGS: Final = (
+    ("mode", "1"),  # controller of the bus
+    ("auto", "0"),  # an instrument talks when it is told to, never by itself
+    ("eoi", "1"),  # the end of a command is marked
+    ("eos", "2"),  # LF after each command
+    ("eot_char", "10"),  # LF where an instrument marked the end of its reply
+    ("eot_enable", "1"),
+    ("read_tmo_ms", str(READ_TIMEOUT_MS)),
+)
+_VERSION: Final = re.compile(rb"[\x20-\x7e]*GPIB[\x20-\x7e]*", re.IGNORECASE)
+_ESCAPED: Final = re.compile(rb"([\r\n\x1b+])")
+_SERIAL: Final = SerialSettings(baud_rate=115200, stop_bits=1, flow="none")
+_MOST_BYTES: Final = 1 << 20
+
+
+class AdapterConnection:
+    """One instrument behind an adapter, as `MessageSession` sees it: it delivers whole messages."""
+
+    def __init__(self, adapter: _Adapter, address: int, link_number: int) -> None:
+        self._adapter = adapter
+        self._address = address
+        self._link_number = link_number
+        self._interrupted = threading.Event()
+        self._left = False
+        self._clock: Clock = SystemClock()
+
+    @classmethod
+    def open(cls, resource: str, timeout_s: float) -> AdapterConnection:
+        """Share the adapter's connection, made and proved if there is none.
+
+        Raises `VisaIOError` for a resource of another form, `WireError` for one that is no adapter, what
+        `Connection.open` raises.
+        """
+        link_resource, address = parse(resource)
+        adapter = _join(link_resource, timeout_s)
+        try:
+            return cls(adapter, address, adapter.linked())
+        except BaseException:
+            adapter.leave()
+            raise
+
+    @property
+    def stands(self) -> bool:
+        """Whether the adapter's link is still the one of this connection: another instrument may have lost it."""
+        return self._adapter.has_link(self._link_number)
+
+    def close(self) -> None:
+        """Leave the adapter, which is let go with its last instrument. Never raises, may be called twice."""
+        self._interrupted.set()
+        if not self._left:
+            self._left = True
+            self._adapter.leave()
+
+    def interrupt(self) -> None:
+        """End another thread's wait at its next read; the other instruments are not disturbed."""
+        self._interrupted.set()
+
+    def send(self, data: bytes, timeout_s: float) -> bool:
+        """Send one command; return False when the adapter takes nothing within `timeout_s`."""
+        with self._talking() as link:
+            line = _ESCAPED.sub(b"\x1b\\1", data.rstrip(b"\r\n"))
+            return link.send(b"++addr %d\n%b\n" % (self._address, line), timeout_s)
+
+    def take_message(self, timeout_s: float) -> bytes:
+        """Return one whole message, up to the end that the instrument marked.
+
+        Raises `VisaIOError` when none is whole within `timeout_s`.
+        """
+        deadline_s = self._clock.now_s() + timeout_s
+        message = b""
+        while True:
+            with self._talking() as link:
+                link.send(b"++addr %d\n++read eoi\n" % self._address, timeout_s)
+                message += self._adapter.until_mark(link)
+            if message.endswith(b"\n"):
+                return message
+            if self._clock.now_s() >= deadline_s or len(message) > _MOST_BYTES:
+                raise VisaIOError(StatusCode.error_timeout)
+
+    def resynchronise(self) -> bool:
+        """Clear the instrument, so that a reply which may still come does not come."""
+        with self._talking() as link:
+            return link.send(b"++addr %d\n++clr\n" % self._address, self._adapter.timeout_s)
+
+    @contextlib.contextmanager
+    def _talking(self) -> Iterator[Connection]:
+        if self._interrupted.is_set():
+            raise WireError("was closed while it was in use", "open the instrument and take this step again")
+        with self._adapter.talking(self._link_number) as link:
+            yield link
+
+
+class _Adapter:
+    """An adapter as its instruments share it.
+
+    A link on which anything went wrong is given up, and made anew when an instrument is opened. What others
+    had sent over the old one may be lost with it, so each of them is told and has to be opened again.
+    """
+
+    def __init__(self, resource: str, timeout_s: float) -> None:
+        self.resource = resource
+        self.timeout_s = timeout_s
+        self.users = 0
+        self._lock = threading.RLock()
+        self._link: Connection | None = None
+        self._link_number = 0
+        self._version = b""
+        self._clock: Clock = SystemClock()
+
+    def leave(self) -> None:
+        """One instrument fewer; the last one lets the link go."""
+        with _adapters_lock:
+            self.users -= 1
+            if self.users == 0:
+                _adapters.pop(self.resource, None)
+                self._drop()
+
+    def linked(self) -> int:
+        """Make the link if there is none, or a broken one; return its number."""
+        with self._lock:
+            if self._link is not None and not _is_quiet(self._link):
+                self._drop()
+            if self._link is None:
+                self._link = self._make_link()
+                self._link_number += 1
+            return self._link_number
+
+    def has_link(self, link_number: int) -> bool:
+        """Whether the link of that number is the present one."""
+        return self._link is not None and self._link_number == link_number
+
+    @contextlib.contextmanager
+    def talking(self, link_number: int) -> Iterator[Connection]:
+        """Hold the adapter for one transaction over the link of that number; one that fails costs the link."""
+        with self._lock:
+            if self._link is None or not self.has_link(link_number):
+                raise WireError(
+                    "lost the adapter's connection", "check that the adapter is on, then take this step again"
+                )
+            try:
+                if not _is_quiet(self._link):
+                    raise WireError("broke the connection", "check that no other program uses the adapter")
+                yield self._link
+            except BaseException:
+                self._drop()
+                raise
+
+    def until_mark(self, link: Connection) -> bytes:
+        """Ask for the version; return what comes before it."""
+        link.send(b"++ver\n", self.timeout_s)
+        deadline_s = self._clock.now_s() + READ_TIMEOUT_MS / 1000.0 + self.timeout_s
+        data = b""
+        while not (data.endswith(b"\n") and data.rstrip(b"\r\n").endswith(self._version)):
+            data += self._more(link, deadline_s)
+        return data.rstrip(b"\r\n").removesuffix(self._version)
+
+    def _make_link(self) -> Connection:
+        """Return a link to an adapter that has told its version and taken its settings."""
+        link = Connection.open(self.resource, timeout_s=self.timeout_s, read_termination="\n", serial=_SERIAL)
+        try:
+            link.send(b"++ver\n", self.timeout_s)
+            self._version = self._line(link, _VERSION)
+            if b"prologix" in self._version.lower():
+                # It would write each setting to a memory that wears; to others this is a command to write.
+                link.send(b"++savecfg 0\n", self.timeout_s)
+            for name, value in _SETTINGS:
+                link.send(f"++{name} {value}\n++{name}\n".encode(), self.timeout_s)
+                answer = self._line(link, re.compile(rb"\d+")).decode()
+                if answer != value:
+                    raise WireError(
+                        f"answers {answer} to ++{name}, not {value}, as a GPIB adapter",
+                        "check that it is a Prologix or compatible adapter, with its latest firmware",
+                    )
+        except BaseException:
+            link.close()
+            raise
+        return link
+
+    def _line(self, link: Connection, pattern: re.Pattern[bytes]) -> bytes:
+        """Return the next line of this form; lines before it are late replies of an earlier link."""
+        deadline_s = self._clock.now_s() + self.timeout_s
+        data = b""
+        while True:
+            data += self._more(link, deadline_s)
+            if data.endswith(b"\n"):
+                line = data.rstrip(b"\r\n").rpartition(b"\n")[2]
+                if pattern.fullmatch(line):
+                    return line
+                data = b""
+
+    def _more(self, link: Connection, deadline_s: float) -> bytes:
+        remaining_s = max(0.0, deadline_s - self._clock.now_s())
+        if not link.by_bytes:  # a serial port of Windows
+            return link.take_message(remaining_s)
+        if not link.wait(remaining_s):
+            raise WireError(
+                "did not answer as a GPIB adapter", "check the adapter's power, its address and the cable"
+            )
+        chunk = link.take_all()
+        if not chunk:
+            raise WireError("broke the connection", "check that the adapter is on, then take this step again")
+        return chunk
+
+    def _drop(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+
+_adapters: dict[str, _Adapter] = {}
+"""The adapters in use, by the resource of their link: one each per process, as each has one bus."""
+
+_adapters_lock = threading.Lock()
+
+
+def _join(link_resource: str, timeout_s: float) -> _Adapter:
+    with _adapters_lock:
+        adapter = _adapters.setdefault(link_resource, _Adapter(link_resource, timeout_s))
+        adapter.users += 1
+        return adapter
+
+
+def _is_quiet(link: Connection) -> bool:
+    """Whether nothing waits: between transactions that would be the adapter's leaving, or another program."""
+    return not (link.by_bytes and link.wait(0.0))
+
+
+def parse(resource: str) -> tuple[str, int]:
+    """Return the VISA resource of the adapter's link and the GPIB address.
+
+    Raises `WireError` for another form.
+    """
+    match = _RESOURCE.fullmatch(resource)
+    if match is None or int(match["address"]) > _HIGHEST_ADDRESS:
+        raise WireError(
+            "is not an address that can be understood",
+            "write it like prologix://192.0.2.10:1234/22 or prologix:///dev/ttyUSB0/22, "
+            f"with a GPIB address of 0 to {_HIGHEST_ADDRESS}",
+        )
+    address = int(match["address"])
+    device = match["device"]
+    if device is not None:
+        return f"ASRL{device.removeprefix('COM')}::INSTR", address  # VISA calls COM3 by its number
+    return f"TCPIP0::{match['host']}::{match['port'] or _PORT}::SOCKET", address

@@ -1,0 +1,300 @@
+"""The one transport: a locked, checked, reconnecting message session for all message instruments.
+
+After anything but a whole, expected reply the connection is given up, and made again before the next
+exchange, so that a late or half reply is never taken for the answer to something else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from drivers.clock import Clock, SystemClock
+from drivers.interfaces import BadReading, BenchError, InstrumentLost
+from drivers.wire.causes import probable_cause
+from drivers.wire.prologix import SCHEME, AdapterConnection
+from drivers.wire.pyvisa_connection import Connection, SerialSettings
+
+__all__ = ["MessageSession", "SerialSettings", "Wire"]
+
+Wire = Callable[[str, str, str], None]
+"""A wire log: called with the instrument's name, ">" (sent) or "<" (received), the text; must not raise."""
+
+PRINTABLE: Final = r"[\x20-\x7e]+"
+"""The form of a reply for which no pattern is given: one line of printable ASCII."""
+
+_MAX_REPLY_BYTES: Final = 1 << 20
+
+
+class MessageSession:
+    """One instrument's wire: text commands out, one line of text back for each query.
+
+    `name` is the instrument's name on the bench, `resource` a VISA resource string, or for an instrument
+    behind a GPIB adapter one such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` hold
+    for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves.
+    Safe to use from several threads; give one resource to one session only.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        resource: str,
+        *,
+        timeout_s: float = 3.0,
+        read_termination: str = "\n",
+        write_termination: str = "\n",
+        serial: SerialSettings | None = None,
+        wire: Wire | None = None,
+    ) -> None:
+        self.name = name
+        self.resource = resource
+        self.timeout_s = timeout_s
+        self.serial = serial or SerialSettings()
+        self._read_termination = read_termination
+        self._write_termination = write_termination
+        self._wire = wire
+        self._lock = threading.RLock()
+        self._clock: Clock = SystemClock()
+        self._wanted = False
+        self._desynchronised = False
+        self._count = 0
+        self._connection: Connection | AdapterConnection | None = None
+
+    @property
+    def connection(self) -> int | None:
+        """The number of the present connection, or None while there is none to trust.
+
+        A driver keeps it with the settings that it sent: any other number means to prove them again.
+        """
+        return self._count if self._stands() else None
+
+    def open(self) -> None:
+        """Connect and prove that somebody is there; nothing is done when connected already.
+
+        Raises `InstrumentLost`.
+        """
+        with self._lock:
+            self._wanted = True
+            if self._connection is not None and not self._stands():
+                self._desynchronised = True
+                self._drop()
+            self._connected()
+
+    def close(self) -> None:
+        """Let the wire go. Never raises, may be called twice and while another thread waits for a reply.
+
+        Another thread's exchange may end within the timeout; then it is cut off.
+        """
+        self._wanted = False
+        locked = self._lock.acquire(timeout=self.timeout_s)
+        if not locked and (connection := self._connection) is not None:
+            connection.interrupt()
+            locked = self._lock.acquire(timeout=self.timeout_s)
+        try:
+            self._drop()
+        finally:
+            if locked:
+                self._lock.release()
+
+    def write(self, command: str) -> None:
+        """Send a command that has no reply.
+
+        Raises `InstrumentLost`, or `BadReading` when something came that nobody had asked for.
+        """
+        with self._exchange(command) as connection:
+            self._send(connection, command)
+
+    def query(
+        self,
+        command: str,
+        timeout_s: float | None = None,
+        pattern: str | re.Pattern[str] | None = None,
+        expected: str = "one line of text",
+    ) -> str:
+        """Send a command and return its reply without the termination.
+
+        The whole reply must match `pattern` (without one: be printable); `expected` says in an error what
+        that is. Raises `InstrumentLost` when nothing comes within `timeout_s` (the session's own if None),
+        `BadReading` for a reply that is cut, garbled, or followed by another.
+        """
+        allowed_s = self.timeout_s if timeout_s is None else timeout_s
+        with self._exchange(command) as connection:
+            self._send(connection, command)
+            reply = self._receive(connection, command, allowed_s)
+            if re.fullmatch(pattern or PRINTABLE, reply) is None:
+                raise BadReading(
+                    self.name,
+                    f"the reply to {command} is {_shown(reply)}, not {expected}",
+                    "take it again, and check cable and terminations if it comes again",
+                )
+            return reply
+
+    @contextlib.contextmanager
+    def _exchange(self, command: str) -> Iterator[Connection | AdapterConnection]:
+        """Hold the lock over one exchange; whatever goes wrong in it, the connection is given up."""
+        with self._lock:
+            if not self._wanted:
+                raise InstrumentLost(
+                    self.name, f"{self.resource} is not open, {command} was not sent", "open it first"
+                )
+            connection = self._connected()
+            try:
+                self._refuse_leftovers(connection, command)
+                yield connection
+            except BaseException as error:  # Ctrl-C in an exchange leaves a reply behind as well
+                self._desynchronised = True
+                self._drop()
+                if isinstance(error, BenchError) or not isinstance(error, Exception):
+                    raise
+                raise self._lost(error, f" at {command}") from error
+
+    def _connected(self) -> Connection | AdapterConnection:
+        """Return the connection, made and proved if there is none."""
+        if self._connection is None:
+            try:
+                connection = self._open()
+                if self._desynchronised:
+                    self._resynchronise(connection)
+            except Exception as error:
+                if isinstance(error, BenchError):
+                    raise
+                raise self._lost(error) from error
+            self._desynchronised = False
+            self._count += 1
+            self._connection = connection
+        return self._connection
+
+    def _stands(self) -> bool:
+        """Whether there is a connection, and no other instrument on the same adapter has lost it."""
+        connection = self._connection
+        return connection is not None and not (
+            isinstance(connection, AdapterConnection) and not connection.stands
+        )
+
+    def _open(self) -> Connection | AdapterConnection:
+        if self.resource.startswith(SCHEME):
+            return AdapterConnection.open(self.resource, self.timeout_s)
+        return Connection.open(
+            self.resource,
+            timeout_s=self.timeout_s,
+            read_termination=self._read_termination,
+            serial=self.serial,
+        )
+
+    def _resynchronise(self, connection: Connection | AdapterConnection) -> None:
+        quiet = False
+        try:
+            if isinstance(connection, AdapterConnection):
+                quiet = connection.resynchronise()
+            else:
+                quiet = connection.resynchronise(self.serial.device_clear, self.timeout_s)
+        finally:
+            if not quiet:
+                connection.close()
+        if not quiet:
+            raise InstrumentLost(
+                self.name,
+                f"{self.resource} does not stop sending",
+                "switch the instrument off and on and start again",
+            )
+
+    def _drop(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+
+    def _lost(self, error: Exception, at: str = "") -> InstrumentLost:
+        cause, remedy = probable_cause(error)
+        return InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
+
+    def _send(self, connection: Connection | AdapterConnection, command: str) -> None:
+        self._log(">", command)
+        if not connection.send((command + self._write_termination).encode("ascii"), self.timeout_s):
+            raise InstrumentLost(
+                self.name,
+                f"{self.resource} took nothing of {command} within {self.timeout_s:g} s",
+                "switch the instrument off and on and start again",
+            )
+
+    def _receive(self, connection: Connection | AdapterConnection, command: str, allowed_s: float) -> str:
+        """Return one reply, decoded, without its termination (a CR before it is let pass)."""
+        if isinstance(connection, Connection) and connection.by_bytes:
+            data = self._read_line(connection, command, allowed_s)
+        else:
+            data = connection.take_message(allowed_s)
+        reply = _text(data).rstrip("\r\n")
+        self._log("<", reply)
+        return reply
+
+    def _read_line(self, connection: Connection, command: str, allowed_s: float) -> bytes:
+        end = self._read_termination[-1:].encode("ascii")
+        deadline_s = self._clock.now_s() + allowed_s
+        data = b""
+        while not data.endswith(end):
+            remaining_s = max(0.0, deadline_s - self._clock.now_s())
+            if len(data) > _MAX_REPLY_BYTES or not connection.wait(remaining_s):
+                raise self._incomplete(command, data, allowed_s)
+            chunk, more = connection.take()
+            data += chunk
+            if not chunk:
+                self._log("<", _text(data))
+                raise self._closed(f"at {command}" + (f" after {_shown(_text(data))}" if data else ""))
+            if more:
+                self._log("<", _text(data))
+                raise BadReading(
+                    self.name,
+                    f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}",
+                    "take it again, and check that no other program uses the instrument",
+                )
+        return data
+
+    def _incomplete(self, command: str, data: bytes, allowed_s: float) -> BenchError:
+        if not data:
+            return InstrumentLost(
+                self.name,
+                f"{self.resource} did not answer {command} within {allowed_s:g} s",
+                "check that it is on and set to this interface, and that the cable sits",
+            )
+        self._log("<", _text(data))
+        return BadReading(
+            self.name,
+            f"the reply to {command} was cut short after {_shown(_text(data))}, "
+            f"no end of line within {allowed_s:g} s",
+            "take it again, and check cable and terminations if it comes again",
+        )
+
+    def _closed(self, when: str) -> InstrumentLost:
+        return InstrumentLost(
+            self.name,
+            f"{self.resource} closed the connection {when}",
+            "check that the instrument is on and nobody else uses it, then take this step again",
+        )
+
+    def _refuse_leftovers(self, connection: Connection | AdapterConnection, command: str) -> None:
+        """Refuse to send when something unasked-for waits, or the peer has gone: a write would not notice."""
+        if not isinstance(connection, Connection) or not connection.by_bytes or not connection.wait(0.0):
+            return
+        data, _ = connection.take()
+        if not data:
+            raise self._closed(f"before {command}")
+        self._log("<", _text(data).rstrip("\r\n"))
+        raise BadReading(
+            self.name,
+            f"{_shown(_text(data).rstrip())} came unasked before {command}",
+            "take this step again, and check that no other program uses the instrument",
+        )
+
+    def _log(self, direction: str, text: str) -> None:
+        if self._wire is not None:
+            self._wire(self.name, direction, text)
+
+
+def _text(data: bytes) -> str:
+    return data.decode("ascii", "backslashreplace")
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 60 else text[:40] + "…" + text[-15:])

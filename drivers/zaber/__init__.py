@@ -1,0 +1,1 @@
+"""Rotary stages with a Zaber controller."""

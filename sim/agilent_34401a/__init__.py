@@ -1,0 +1,1 @@
+"""A simulated HP, Agilent, Keysight 34401A."""

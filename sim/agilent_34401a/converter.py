@@ -1,0 +1,242 @@
+"""The analogue side of a simulated 34401A: range, gain, offset, noise, resolution, and how long it takes.
+
+Source: 34401A User's Guide (34401-90004), chapter 8, specifications; noise per integration time as
+measured on meters of this class.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Literal, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from sim.agilent_34401a.functions import Function, FunctionSettings
+
+Accuracy = Literal["90 days"]
+
+OVERLOAD: Final = 9.9e37
+
+_OVER_RANGE: Final = 1.2
+_UNDER_RANGE: Final = 0.1
+_NO_OVER_RANGE_V: Final = (300.0, 1000.0)
+
+_SPEC_90_DAYS: Final = {
+    0.1: (40e-6, 35e-6),
+    1.0: (30e-6, 7e-6),
+    10.0: (20e-6, 5e-6),
+    100.0: (35e-6, 6e-6),
+    300.0: (35e-6, 20e-6),
+    1000.0: (35e-6, 10e-6),
+}
+"""Limits of error of DC volts, 23 ± 5 °C: fractions of the reading and of the range."""
+
+_TEMPERATURE_COEFFICIENT: Final = {
+    0.1: (5e-6, 5e-6),
+    1.0: (5e-6, 1e-6),
+    10.0: (5e-6, 1e-6),
+    100.0: (5e-6, 1e-6),
+    300.0: (5e-6, 3e-6),
+    1000.0: (5e-6, 1e-6),
+}
+"""What each °C outside 23 ± 5 °C adds to the limits, fractions of the reading and of the range."""
+
+_REFERENCE_C: Final = 23.0
+_REFERENCE_WIDTH_C: Final = 5.0
+
+_NOISE_OF_RANGE: Final = {
+    200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
+}  # fmt: skip
+"""Standard deviation of one sample as a fraction of the range, for each NPLC."""
+
+_NOISE_OF_INPUT_V: Final = 0.4e-6
+"""Noise of the input amplifier at 1 NPLC, V: it decides on the 100 mV range."""
+
+_FAST_INTEGRATION_S: Final = {0.02: 400e-6, 0.2: 3e-3}
+_AC_SETTLING_S: Final = {3.0: 7.0, 20.0: 1.0, 200.0: 0.6}
+_COUNTER_SETTLING_S: Final = 1.0
+_DC_SETTLING_S: Final = 1.5e-3
+_DC_FAST_SETTLING_S: Final = 1.0e-3
+_QUICK_TEST_S: Final = 3e-3
+
+
+class Source(Protocol):
+    """What a meter is wired to: one channel of the world."""
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature at the meter, °C."""
+        ...
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        """Return the voltage at the terminals now, or as it was at `time_s` of the clock, V."""
+        ...
+
+    def new_reading(self) -> None:
+        """Say that a reading was triggered."""
+        ...
+
+    def random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose within the present reading."""
+        ...
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for something that this meter has for good."""
+        ...
+
+
+class Measurement(Protocol):
+    """How a sample is to be taken: what the converter has to know of a meter's settings."""
+
+    @property
+    def function(self) -> Function:
+        """The measuring function."""
+        ...
+
+    @property
+    def settings(self) -> FunctionSettings:
+        """Its range, which autorange changes, and its resolution."""
+        ...
+
+    @property
+    def nplc(self) -> float:
+        """Integration in power-line cycles, or the gate time in s where it counts."""
+        ...
+
+    @property
+    def autozero(self) -> bool:
+        """Whether the zero is measured with each sample."""
+        ...
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """The slowest alternating signal that is measured right, Hz."""
+        ...
+
+
+class Converter:
+    """Turns the voltage at the terminals into readings.
+
+    With `noise` a sample has white noise by its integration time and is rounded to the resolution; without,
+    it is the exact value (a reply still carries 8 decimals). With `accuracy` the meter has a gain and an
+    offset of its own for each range, drawn once within half the limits of error, and a temperature
+    coefficient. The terminals carry a DC voltage and nothing else: AC functions, current, frequency and
+    period read zero, resistance, continuity and diode see open leads, the ratio has no reference. While
+    `overloaded` is set, every sample is beyond the range.
+    """
+
+    def __init__(self, source: Source, *, noise: bool, accuracy: Accuracy | None, line_hz: float) -> None:
+        self._source = source
+        self._noise = noise
+        self._accuracy = accuracy
+        self._line_hz = line_hz
+        self._errors: dict[float, tuple[float, float, float, float]] = {}
+        self._generator: np.random.Generator | None = None
+        self.overloaded = False
+
+    # --- time ---------------------------------------------------------------------------------------
+
+    def integration_s(self, configuration: Measurement) -> float:
+        """Return how long the signal is integrated for one sample, s."""
+        function = configuration.function
+        if function.has_aperture:
+            return configuration.nplc
+        if not function.has_nplc:
+            return _QUICK_TEST_S
+        return _FAST_INTEGRATION_S.get(configuration.nplc, configuration.nplc / self._line_hz)
+
+    def sample_s(self, configuration: Measurement) -> float:
+        """Return how long one sample takes without its delay, s; autozero measures the zero as long again."""
+        doubled = configuration.function.has_nplc and configuration.autozero
+        return self.integration_s(configuration) * (2.0 if doubled else 1.0)
+
+    def settling_s(self, configuration: Measurement) -> float:
+        """Return the automatic trigger delay, s."""
+        function = configuration.function
+        if function.name.endswith(":AC"):
+            return _AC_SETTLING_S[configuration.bandwidth_hz]
+        if function.has_aperture:
+            return _COUNTER_SETTLING_S
+        return _DC_SETTLING_S if configuration.nplc >= 1.0 else _DC_FAST_SETTLING_S
+
+    # --- value --------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """A measurement was initiated: tell the source, and take the noise that belongs to it."""
+        self._source.new_reading()
+        self._generator = self._source.random("voltmeter noise") if self._noise else None
+
+    def sample(self, configuration: Measurement, time_s: float) -> float:
+        """Return one sample of the selected function, taken at `time_s`; ±`OVERLOAD` outside the range.
+
+        Autorange changes the range in the settings, as on the meter.
+        """
+        if self.overloaded:
+            return OVERLOAD
+        match configuration.function.name:
+            case "VOLT":
+                return self._volts(configuration, self._source.signal_v(time_s))
+            case "RES" | "FRES" | "CONT" | "DIOD" | "VOLT:RAT":
+                return OVERLOAD
+            case _:
+                return 0.0
+
+    def step(self, configuration: Measurement) -> float:
+        """Return the step to which samples are rounded, 0 when they are not."""
+        settings = configuration.settings
+        return settings.range_value * settings.resolution if self._noise else 0.0
+
+    def _volts(self, configuration: Measurement, signal_v: float) -> float:
+        settings = configuration.settings
+        if settings.autorange:
+            settings.range_value = _autorange(signal_v, settings.range_value, configuration.function.ranges)
+        range_v = settings.range_value
+        if abs(signal_v) > _full_scale(range_v):
+            return math.copysign(OVERLOAD, signal_v)
+        value_v = self._with_errors(signal_v, range_v)
+        if self._generator is None:
+            return value_v
+        nplc = configuration.nplc
+        sigma_v = math.hypot(_NOISE_OF_RANGE[nplc] * range_v, _NOISE_OF_INPUT_V / math.sqrt(nplc))
+        step_v = self.step(configuration)
+        return round((value_v + sigma_v * float(self._generator.standard_normal())) / step_v) * step_v
+
+    def _with_errors(self, signal_v: float, range_v: float) -> float:
+        if self._accuracy is None:
+            return signal_v
+        if range_v not in self._errors:
+            draws = self._source.fixed_random(f"voltmeter accuracy {range_v:g} V").uniform(-0.5, 0.5, 4)
+            limits = (*_SPEC_90_DAYS[range_v], *_TEMPERATURE_COEFFICIENT[range_v])
+            gain, offset, gain_per_c, offset_per_c = (
+                float(d * m) for d, m in zip(draws, limits, strict=True)
+            )
+            self._errors[range_v] = (gain, offset, gain_per_c, offset_per_c)
+        gain, offset, gain_per_c, offset_per_c = self._errors[range_v]
+        from_reference_c = self._source.temperature_c - _REFERENCE_C
+        outside_c = math.copysign(max(0.0, abs(from_reference_c) - _REFERENCE_WIDTH_C), from_reference_c)
+        gain += gain_per_c * outside_c
+        offset += offset_per_c * outside_c
+        return signal_v * (1.0 + gain) + range_v * offset
+
+
+def _full_scale(range_v: float) -> float:
+    return range_v if range_v in _NO_OVER_RANGE_V else range_v * _OVER_RANGE
+
+
+def _autorange(signal_v: float, range_v: float, ranges: tuple[float, ...]) -> float:
+    """Return the range for a signal: up above 120 % of the present one, down below 10 %."""
+    if abs(signal_v) > _full_scale(range_v):
+        return next((r for r in ranges if abs(signal_v) <= _full_scale(r)), ranges[-1])
+    index = ranges.index(range_v)
+    while index > 0 and abs(signal_v) < _UNDER_RANGE * ranges[index]:
+        index -= 1
+    return ranges[index]
+
+
+def reading_text(value: float, step: float) -> str:
+    """Format a reading, `SD.DDDDDDDDESDD`; a zero carries the exponent of the step it was rounded to."""
+    if value == 0.0:
+        exponent = math.floor(math.log10(step) + 1e-9) if step else 0
+        return f"+0.00000000E{exponent:+03d}"
+    return f"{value:+.8E}"

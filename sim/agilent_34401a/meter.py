@@ -1,0 +1,268 @@
+"""A simulated HP/Agilent 34401A multimeter on one channel of the world.
+
+Complete for DC volts; the other functions can be set, read back and measured, with readings as of a meter
+that has nothing but a DC voltage at its terminals. Source: 34401A User's Guide (34401-90004), chapters 3-5.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final, Literal
+
+from sim.agilent_34401a.converter import Accuracy, Converter, Source
+from sim.agilent_34401a.functions import FUNCTIONS, Configuration, Function
+from sim.agilent_34401a.math import Math
+from sim.agilent_34401a.trigger import Trigger
+from sim.scpi.instrument import Command, ScpiInstrument
+from sim.scpi.status import DEVICE_ERROR, ScpiError
+from sim.scpi.values import DEF, MAX, MIN, Boolean, Number, Parameter, Text, Value, Word, integer, quoted
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+
+Interface = Literal["gpib", "rs232", "lan"]
+
+IDENTITY: Final = "HEWLETT-PACKARD,34401A,0,11-5-2"
+
+_ERRORS: Final = {
+    514: "Command allowed only with RS-232",
+    521: "Input buffer overflow",
+    522: "Output buffer overflow",
+    531: "Insufficient memory",
+    532: "Cannot achieve requested resolution",
+    540: "Cannot use overload as math reference",
+    550: "Command not allowed in local",
+    702: "Cal secured",
+    703: "Invalid secure code",
+}
+
+_REMOTE_COMMANDS: Final = ("SYSTem:LOCal", "SYSTem:REMote", "SYSTem:RWLock")
+_ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS", "*ESR?", "*STB?")
+
+_VOLT_OVERLOAD: Final = 1
+_CURRENT_OVERLOAD: Final = 2
+_OHMS_OVERLOAD: Final = 512
+
+_SCPI_VERSION: Final = "1994.0"
+_DISPLAY_WIDTH: Final = 12
+_SECURITY_CODE: Final = "HP034401"
+_CALIBRATION_COUNT: Final = 12
+
+
+class Agilent34401A(ScpiInstrument):
+    """The meter: settings, trigger system, status; `source` is what it is wired to, `clock` its time.
+
+    `interface` is what it believes to be connected by: "rs232" refuses (+550) all but identification,
+    errors and SYSTem:REMote until that was sent, "gpib" refuses the SYSTem:REMote family (+514), "lan" takes
+    both and needs neither. `noise` False gives exact values: no noise and no rounding to the resolution.
+    `accuracy` "90 days" gives it a gain, an offset and a temperature coefficient of its own within that
+    specification. `terminals` is the front panel's switch.
+    """
+
+    model = "34401A"
+    _trigger_type: type[Trigger] = Trigger
+
+    def __init__(
+        self,
+        source: Source,
+        clock: Clock,
+        *,
+        interface: Interface = "lan",
+        noise: bool = True,
+        accuracy: Accuracy | None = None,
+        line_hz: float = 50.0,
+        terminals: Literal["front", "rear"] = "front",
+    ) -> None:
+        super().__init__(IDENTITY, _ERRORS)
+        self.interface = interface
+        self.terminals = terminals
+        self.beeper_enabled = True
+        self._calibration_secured = True
+        self.configuration = Configuration(self._configuration_changed)
+        self.math = Math(lambda: self.configuration.function, self._note)
+        self._converter = Converter(source, noise=noise, accuracy=accuracy, line_hz=line_hz)
+        self.trigger = self._trigger_type(
+            clock,
+            self.configuration,
+            self._converter,
+            self.math,
+            self._overload,
+            self.device_clear_pending,
+        )
+        self._remote = False
+        self._locked = False
+        self._clear_text()
+        self.display_on = True
+        for part in (self.configuration, self.trigger, self.math):
+            self.add(part.commands())
+        self.add(self._measure_commands())
+        self.add(self._system_commands())
+        self.add(self._calibration_commands())
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    def admit(self, command: Command) -> None:
+        """Refuse what the interface does not allow, and wait for a measurement under way."""
+        remote = command.notation in _REMOTE_COMMANDS
+        if self.interface == "gpib" and remote:
+            raise ScpiError(514)
+        if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
+            raise ScpiError(550)
+        if command.notation != "INITiate[:IMMediate]":
+            self.trigger.complete()
+
+    def device_clear(self) -> None:
+        """Stop measuring and go to idle; settings, errors and status stay."""
+        self.trigger.abort()
+
+    def external_trigger(self) -> None:
+        """Give a pulse at the Ext Trig terminal; one that is not waited for is ignored (-211)."""
+        try:
+            self.trigger.complete()
+            self.trigger.trigger("EXT")
+        except ScpiError as error:
+            self.report(error.number)
+
+    def input_overflow(self) -> None:
+        """Take note that a message was longer than the input buffer."""
+        self.report(521)
+
+    def reset(self) -> None:
+        """*RST: DC volts, autorange, 10 PLC, one immediate trigger; errors and masks stay."""
+        self.trigger.abort()
+        self.configuration.preset()
+        self.trigger.preset()
+        self.math.preset()
+        self.display_on = True
+        self._clear_text()
+
+    def power_cycle(self) -> None:
+        """Switch off and on: all but beeper, power-on clear, dBm reference and calibration is lost."""
+        super().power_cycle()
+        self._set_remote(False)
+
+    def press_local(self) -> None:
+        """Press LOCAL (Shift) on the front panel: an RS-232 meter refuses commands until SYSTem:REMote.
+
+        Locked by SYSTem:RWLock the key does nothing.
+        """
+        if not self._locked:
+            self._remote = False
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether the voltage at the terminals is beyond every range, whatever the source says."""
+        return self._converter.overloaded
+
+    @overloaded.setter
+    def overloaded(self, overloaded: bool) -> None:
+        self._converter.overloaded = overloaded
+
+    @property
+    def display_text(self) -> str:
+        """What DISPlay:TEXT has put on the display."""
+        return self._display_text
+
+    # --- what its parts report ----------------------------------------------------------------------
+
+    def _configuration_changed(self) -> None:
+        self.trigger.stop_waiting()
+        self.math.drop_if_unfit()
+
+    def _note(self, error: int, questionable: int) -> None:
+        if error:
+            self.report(error)
+        self.status.questionable |= questionable
+
+    def _overload(self) -> None:
+        """An overload is seen in the registers only: it is not an error of the queue."""
+        unit = self.configuration.function.unit
+        bits = {"A": _CURRENT_OVERLOAD, "OHM": _OHMS_OVERLOAD}
+        self.status.questionable |= bits.get(unit, _VOLT_OVERLOAD)
+        self.status.event |= DEVICE_ERROR
+
+    # --- CONFigure and MEASure ----------------------------------------------------------------------
+
+    def _measure_commands(self) -> list[Command]:
+        lines = []
+        for function in FUNCTIONS.values():
+            parameters: tuple[Parameter, ...] = ()
+            if function.subsystem or function.keeps_range_of:
+                words = (MIN, MAX, DEF)
+                parameters = (Number(function.unit, words, optional=True),) * 2
+            lines += [
+                Command(f"CONFigure:{function.notation}", partial(self._configure, function), parameters),
+                Command(f"MEASure:{function.notation}?", partial(self._measure, function), parameters),
+            ]
+        return lines
+
+    def _configure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> None:
+        self.configuration.configure(function, range_value, resolution)
+        self.trigger.abort()
+        self.trigger.preset()
+        self.math.preset()
+
+    def _measure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> str | None:
+        self._configure(function, range_value, resolution)
+        return self.trigger.read()
+
+    # --- display, system, calibration ---------------------------------------------------------------
+
+    def _system_commands(self) -> list[Command]:
+        return [
+            Command("ROUTe:TERMinals?", lambda: {"front": "FRON", "rear": "REAR"}[self.terminals]),
+            Command("DISPlay[:WINDow][:STATe]", self._set_display, (Boolean(),)),
+            Command("DISPlay[:WINDow][:STATe]?", lambda: str(int(self.display_on))),
+            Command("DISPlay[:WINDow]:TEXT[:DATA]", self._show, (Text(),)),
+            Command("DISPlay[:WINDow]:TEXT[:DATA]?", lambda: quoted(self._display_text)),
+            Command("DISPlay[:WINDow]:TEXT:CLEar", self._clear_text),
+            Command("SYSTem:BEEPer", _beep),
+            Command("SYSTem:BEEPer:STATe", self._set_beeper, (Boolean(),)),
+            Command("SYSTem:BEEPer:STATe?", lambda: str(int(self.beeper_enabled))),
+            Command("SYSTem:VERSion?", lambda: _SCPI_VERSION),
+            Command("SYSTem:LOCal", lambda: self._set_remote(False)),
+            Command("SYSTem:REMote", lambda: self._set_remote(True)),
+            Command("SYSTem:RWLock", lambda: self._set_remote(True, locked=True)),
+        ]
+
+    def _calibration_commands(self) -> list[Command]:
+        """Calibration can be looked at; it cannot be changed, as nothing is there to calibrate against."""
+        return [
+            Command("CALibration?", self._refuse_calibration),
+            Command("CALibration:COUNt?", lambda: integer(_CALIBRATION_COUNT)),
+            Command("CALibration:SECure:CODE", self._refuse_calibration, (Word(),)),
+            Command("CALibration:SECure:STATe", self._secure, (Boolean(), Word(optional=True))),
+            Command("CALibration:SECure:STATe?", lambda: str(int(self._calibration_secured))),
+            Command("CALibration:STRing", self._refuse_calibration, (Text(),)),
+            Command("CALibration:STRing?", lambda: quoted("")),
+            Command("CALibration:VALue", self._refuse_calibration, (Number("V"),)),
+            Command("CALibration:VALue?", lambda: f"{0.0:+.8E}"),
+        ]
+
+    def _set_display(self, flag: str) -> None:
+        self.display_on = flag == "1"
+
+    def _show(self, text: str) -> None:
+        self._display_text = text[:_DISPLAY_WIDTH]
+
+    def _clear_text(self) -> None:
+        self._display_text = ""
+
+    def _set_beeper(self, flag: str) -> None:
+        self.beeper_enabled = flag == "1"
+
+    def _set_remote(self, remote: bool, locked: bool = False) -> None:
+        self._remote = remote
+        self._locked = locked
+
+    def _refuse_calibration(self, _value: Value = "") -> str | None:
+        raise ScpiError(702)
+
+    def _secure(self, flag: str, code: str = "") -> None:
+        if code != _SECURITY_CODE and (code or flag == "0"):
+            raise ScpiError(703)
+        self._calibration_secured = flag == "1"
+
+
+def _beep() -> None:
+    """SYSTem:BEEPer: nobody is there to hear it."""

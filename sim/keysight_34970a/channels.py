@@ -1,0 +1,165 @@
+"""The channels of a simulated 34970A: channel lists, the settings of each channel, what is wired to it.
+
+Source: 34970A User's Guide (34970-90003), chapter 4 "Rules for Using a Channel List", "DC Voltage"; chapter 8.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+from sim.agilent_34401a.functions import Function, FunctionSettings, chosen_range, chosen_resolution
+from sim.scpi.status import ScpiError
+from sim.scpi.values import DEF, Number, Value, within
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+
+    from sim.agilent_34401a.converter import Source
+
+NPLC_BY_RESOLUTION: Final = {
+    2.2e-7: 200.0, 3e-7: 100.0, 8e-7: 20.0, 1e-6: 10.0, 2.2e-6: 2.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02,
+}  # fmt: skip
+"""Integration in power-line cycles for each resolution, as a fraction of the range."""
+
+DC_VOLTS: Final = Function(
+    "VOLT", "VOLTage[:DC]", "V", (0.1, 1.0, 10.0, 100.0, 300.0), NPLC_BY_RESOLUTION, "VOLTage[:DC]"
+)
+CARDS: Final = {"34901A": range(1, 23)}
+LONGEST_DELAY_S: Final = 60.0
+
+WRONG_LIST: Final = 309
+NO_MODULE: Final = 302
+NO_CHANNEL: Final = 304
+
+_DEFAULT_RESOLUTION: Final = 3e-6
+_AUTOMATIC_DELAY_S: Final = 2e-3
+_LIST: Final = re.compile(r"\(\s*@\s*([0-9:,\s]*)\)")
+_ITEM: Final = re.compile(r"(\d{3})(?::(\d{3}))?")
+
+
+class ChannelList:
+    """A channel list as a parameter, `(@101:103,105)`; alone, or where a number or word may stand first.
+
+    The value of a list is its text; `listed` makes the channels of it.
+    """
+
+    def __init__(self, or_number: Number | None = None, optional: bool = False) -> None:
+        self.optional = optional
+        self._number = or_number
+
+    def parse(self, text: str) -> Value:
+        """Return the text of a list, or the value of the number."""
+        if text.startswith("("):
+            return text
+        if self._number is None:
+            raise ScpiError(WRONG_LIST)
+        return self._number.parse(text)
+
+
+def listed(text: str, cards: Mapping[int, str]) -> tuple[int, ...]:
+    """Return the channels of a list as they are written, `(101, 102, 103, 105)`.
+
+    `cards` holds the card in each slot (100, 200, 300). Raises `ScpiError` 309 for another form, 302 where
+    there is no card, 304 where the card has no such channel; within a range those are passed over.
+    """
+    match = _LIST.fullmatch(text)
+    if match is None:
+        raise ScpiError(WRONG_LIST)
+    channels: list[int] = []
+    inner = match.group(1).replace(" ", "")
+    for item in inner.split(",") if inner else []:
+        ends = _ITEM.fullmatch(item)
+        if ends is None:
+            raise ScpiError(WRONG_LIST)
+        first, last = int(ends.group(1)), int(ends.group(2) or ends.group(1))
+        for end in (first, last):
+            if 100 * (end // 100) not in cards:
+                raise ScpiError(NO_MODULE)
+            if not _exists(end, cards):
+                raise ScpiError(NO_CHANNEL)
+        channels += [channel for channel in range(first, last + 1) if _exists(channel, cards)]
+    return tuple(channels)
+
+
+def _exists(channel: int, cards: Mapping[int, str]) -> bool:
+    card = cards.get(100 * (channel // 100))
+    return card is not None and channel % 100 in CARDS[card]
+
+
+class ChannelConfiguration:
+    """How one channel is measured; a `Measurement`."""
+
+    function = DC_VOLTS
+    bandwidth_hz = 20.0
+
+    def __init__(self) -> None:
+        self.preset()
+
+    def preset(self) -> None:
+        """Set what *RST and CONFigure set: autorange, 1 PLC, autozero, 10 MOhm, automatic delay."""
+        self.settings = FunctionSettings(10.0, _DEFAULT_RESOLUTION, 0.0)
+        self.autozero = True
+        self.high_impedance = False
+        self.stated_delay_s: float | None = None
+
+    @property
+    def nplc(self) -> float:
+        """Integration in power-line cycles."""
+        return NPLC_BY_RESOLUTION[self.settings.resolution]
+
+    @property
+    def delay_s(self) -> float:
+        """From the closing of the relay to the beginning of the sample, s."""
+        return _AUTOMATIC_DELAY_S if self.stated_delay_s is None else self.stated_delay_s
+
+    def configure(self, range_value: Value, resolution: Value) -> None:
+        """CONFigure:VOLTage:DC. Raises `ScpiError` -222, 532; nothing is changed then."""
+        chosen = self.settings.range_value if range_value == DEF else chosen_range(DC_VOLTS, range_value)
+        fraction = (
+            _DEFAULT_RESOLUTION if resolution == DEF else chosen_resolution(DC_VOLTS, resolution, chosen)
+        )
+        self.preset()
+        self.settings.range_value = chosen
+        self.settings.autorange = range_value == DEF
+        self.settings.resolution = fraction
+
+    def set_delay(self, delay_s: float) -> None:
+        """Set the channel delay, s, in steps of 1 ms. Raises `ScpiError` -222."""
+        self.stated_delay_s = round(within(delay_s, 0.0, LONGEST_DELAY_S), 3)
+
+
+class CardInput:
+    """One channel of the card, a `Source`: what is wired to it, seen through the converter all share.
+
+    `common` stands for the meter itself, whose gain and offset are the same for all channels. With nothing
+    wired (`wired` None) the open input reads zero.
+    """
+
+    def __init__(self, wired: Source | None, common: Source) -> None:
+        self._wired = wired
+        self._common = common
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature at the meter, °C."""
+        return self._common.temperature_c
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        """Return the voltage at the channel, V."""
+        return 0.0 if self._wired is None else self._wired.signal_v(time_s)
+
+    def new_reading(self) -> None:
+        """Say that a reading was triggered."""
+        if self._wired is not None:
+            self._wired.new_reading()
+
+    def random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose within the present reading of this channel."""
+        return (self._wired or self._common).random(purpose)
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for something that the meter has for good."""
+        return self._common.fixed_random(purpose)

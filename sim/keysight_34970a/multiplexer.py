@@ -1,0 +1,341 @@
+"""A simulated 34970A or 34972A with 34901A multiplexer cards, each channel wired to a source or open.
+
+DC volts are complete; the meter's other functions, alarms, scaling, monitor and real-time clock are not here
+and answer -113. Source: 34970A User's Guide (34970-90003), chapters 4 and 5.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final, Literal
+
+from sim.agilent_34401a.converter import Accuracy, Converter, Source
+from sim.keysight_34970a.channels import (
+    CARDS,
+    DC_VOLTS,
+    LONGEST_DELAY_S,
+    CardInput,
+    ChannelConfiguration,
+    ChannelList,
+    listed,
+)
+from sim.keysight_34970a.scan import Scan
+from sim.scpi.instrument import Command, ScpiInstrument
+from sim.scpi.status import ScpiError
+from sim.scpi.values import (
+    DEF,
+    MAX,
+    MIN,
+    Boolean,
+    Number,
+    Parameter,
+    Text,
+    Value,
+    integer,
+    next_above,
+    notation_pattern,
+    quoted,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from drivers.clock import Clock
+
+Interface = Literal["gpib", "rs232", "lan"]
+Model = Literal["34970A", "34972A"]
+
+IDENTITIES: Final[dict[Model, str]] = {
+    "34970A": "HEWLETT-PACKARD,34970A,0,13-2-2",
+    "34972A": "Agilent Technologies,34972A,MY49000001,1.16-1.12-02-02",
+}
+_SLOTS: Final = (100, 200, 300)
+_ERRORS: Final = {
+    302: "No module was detected in this slot",
+    304: "Does not exist",
+    305: "Not able to perform requested operation",
+    309: "Incorrectly formatted channel list",
+    514: "Command allowed only with RS-232",
+    521: "Input buffer overflow",
+    532: "Cannot achieve requested resolution",
+    550: "Command not allowed in local",
+}
+_REMOTE_COMMANDS: Final = ("SYSTem:LOCal", "SYSTem:REMote", "SYSTem:RWLock")
+_ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS", "*ESR?", "*STB?")
+_RUNS_BESIDE_A_SCAN: Final = ("INITiate", "ABORt")
+_VOLT_OVERLOAD: Final = 1
+
+
+class Keysight34970A(ScpiInstrument):
+    """The meter. `wiring` says what is at which channel, `{101: world.terminals("x"), …}`.
+
+    `cards` holds the card of each slot that is not empty. `interface`, `noise` and `accuracy` are as for the
+    34401A; gain and offset are those of the one converter, the same for all channels. Raises `ValueError`
+    for wiring that the cards do not have.
+    """
+
+    def __init__(
+        self,
+        wiring: Mapping[int, Source],
+        clock: Clock,
+        *,
+        model: Model = "34970A",
+        cards: Mapping[int, str] | None = None,
+        interface: Interface = "lan",
+        noise: bool = True,
+        accuracy: Accuracy | None = None,
+        line_hz: float = 50.0,
+    ) -> None:
+        super().__init__(IDENTITIES[model], _ERRORS)
+        self.model = model
+        self.interface = interface
+        self.cards = {100: "34901A"} if cards is None else dict(cards)
+        numbers = [slot + number for slot, card in self.cards.items() for number in CARDS[card]]
+        if not wiring or not set(wiring) <= set(numbers):
+            raise ValueError(f"channels {sorted(wiring)} are not on the cards {self.cards}")
+        common = wiring[min(wiring)]
+        self._channels = {
+            number: (
+                ChannelConfiguration(),
+                Converter(
+                    CardInput(wiring.get(number), common), noise=noise, accuracy=accuracy, line_hz=line_hz
+                ),
+            )
+            for number in numbers
+        }
+        self._closed: set[int] = set()
+        self._remote = False
+        self.scan = Scan(clock, self._channels, self._overload, self.device_clear_pending)
+        for lines in (self.scan.commands(), self._measure_commands(), self._sense_commands()):
+            self.add(lines)
+        self.add(self._route_commands())
+        self.add(self._system_commands())
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    def admit(self, command: Command) -> None:
+        """Refuse what the interface does not allow, and wait for a scan under way."""
+        if self.interface == "gpib" and command.notation in _REMOTE_COMMANDS:
+            raise ScpiError(514)
+        if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
+            raise ScpiError(550)
+        if command.notation not in _RUNS_BESIDE_A_SCAN:
+            self.scan.complete()
+
+    def device_clear(self) -> None:
+        """Stop scanning and go to idle; settings, errors and status stay."""
+        self.scan.abort()
+
+    def input_overflow(self) -> None:
+        """Take note that a message was longer than the input buffer."""
+        self.report(521)
+
+    def reset(self) -> None:
+        """*RST: all channels as shipped, relays open, an empty scan list; errors and masks stay."""
+        self.scan.abort()
+        self.scan.preset()
+        self.scan.define(())
+        self._closed.clear()
+        for configuration, _ in self._channels.values():
+            configuration.preset()
+
+    def power_cycle(self) -> None:
+        """Switch off and on: the settings are gone."""
+        super().power_cycle()
+        self._remote = False
+
+    def press_local(self) -> None:
+        """Press LOCAL on the front panel: an RS-232 meter refuses commands until SYSTem:REMote."""
+        self._remote = False
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether the voltage at every channel is beyond every range, whatever the sources say."""
+        return any(converter.overloaded for _, converter in self._channels.values())
+
+    @overloaded.setter
+    def overloaded(self, overloaded: bool) -> None:
+        for _, converter in self._channels.values():
+            converter.overloaded = overloaded
+
+    def _overload(self) -> None:
+        """An overload is seen in the questionable data register only."""
+        self.status.questionable |= _VOLT_OVERLOAD
+
+    # --- CONFigure and MEASure ----------------------------------------------------------------------
+
+    def _measure_commands(self) -> list[Command]:
+        words = Number("V", (MIN, MAX, DEF))
+        parameters = (ChannelList(words), ChannelList(words, optional=True), ChannelList(optional=True))
+        return [
+            Command("CONFigure:VOLTage[:DC]", self._configure, parameters),
+            Command("CONFigure?", self._description, (ChannelList(optional=True),)),
+            Command("MEASure:VOLTage[:DC]?", self._measure, parameters),
+        ]
+
+    def _configure(self, *values: Value) -> None:
+        if not str(values[-1]).startswith("("):
+            raise ScpiError(-109)
+        numbers, channels = self._split(values)
+        range_value, resolution = (*numbers, DEF, DEF)[:2]
+        for channel in channels:
+            self._channels[channel][0].configure(range_value, resolution)
+        self.scan.abort()
+        self.scan.preset()
+        self.scan.define(channels)
+
+    def _measure(self, *values: Value) -> str | None:
+        self._configure(*values)
+        return self.scan.read()
+
+    def _description(self, *values: Value) -> str:
+        parts = []
+        for channel in self._split(values)[1]:
+            settings = self._channels[channel][0].settings
+            full_scale = settings.range_value
+            parts.append(quoted(f"VOLT {full_scale:+.6E},{full_scale * settings.resolution:+.6E}"))
+        return ",".join(parts)
+
+    # --- settings of channels -----------------------------------------------------------------------
+
+    def _sense_commands(self) -> list[Command]:
+        by_integration = {nplc: resolution for resolution, nplc in DC_VOLTS.integration.items()}
+        accepted = sorted(by_integration)
+
+        def set_range(channel: ChannelConfiguration, value: Value) -> None:
+            limits = {MIN: DC_VOLTS.ranges[0], MAX: DC_VOLTS.ranges[-1]}
+            wanted = limits[value] if isinstance(value, str) else value
+            channel.settings.range_value = next_above(wanted, DC_VOLTS.ranges)
+            channel.settings.autorange = False
+
+        def set_nplc(channel: ChannelConfiguration, value: Value) -> None:
+            limits = {MIN: accepted[0], MAX: accepted[-1]}
+            wanted = limits[value] if isinstance(value, str) else value
+            channel.settings.resolution = by_integration[next_above(wanted, accepted)]
+
+        def set_delay(channel: ChannelConfiguration, value: Value) -> None:
+            limits = {MIN: 0.0, MAX: LONGEST_DELAY_S}
+            channel.set_delay(limits[value] if isinstance(value, str) else value)
+
+        volts, flag = "[SENSe:]VOLTage[:DC]", Boolean()
+        return [
+            *self._lines(
+                f"{volts}:RANGe", Number("V"), set_range, lambda c: f"{c.settings.range_value:+.8E}"
+            ),
+            *self._lines(
+                f"{volts}:RANGe:AUTO", flag, _set_autorange, lambda c: str(int(c.settings.autorange))
+            ),
+            *self._lines(f"{volts}:NPLCycles", Number(), set_nplc, lambda c: f"{c.nplc:+.8E}"),
+            *self._lines(
+                "[SENSe:]ZERO:AUTO", Boolean(("ONCE",)), _set_autozero, lambda c: str(int(c.autozero))
+            ),
+            *self._lines("INPut:IMPedance:AUTO", flag, _set_impedance, lambda c: str(int(c.high_impedance))),
+            *self._lines("ROUTe:CHANnel:DELay", Number("S"), set_delay, lambda c: f"{c.delay_s:+.8E}"),
+            *self._lines(
+                "ROUTe:CHANnel:DELay:AUTO",
+                flag,
+                _set_automatic_delay,
+                lambda c: str(int(c.stated_delay_s is None)),
+            ),
+            *self._lines("[SENSe:]FUNCtion", Text(), _set_function, lambda _: quoted("VOLT")),
+        ]
+
+    def _lines(
+        self,
+        notation: str,
+        parameter: Parameter,
+        change: Callable[[ChannelConfiguration, Value], None],
+        show: Callable[[ChannelConfiguration], str],
+    ) -> list[Command]:
+        """Return command and query of a setting; without a channel list they concern the scan list."""
+
+        def command(value: Value, channels: str = "") -> None:
+            for channel in self._of(channels):
+                change(self._channels[channel][0], value)
+
+        def query(channels: str = "") -> str:
+            return ",".join(show(self._channels[channel][0]) for channel in self._of(channels))
+
+        optional = ChannelList(optional=True)
+        return [
+            Command(notation, command, (parameter, optional)),
+            Command(f"{notation}?", query, (optional,)),
+        ]
+
+    def _of(self, text: str) -> tuple[int, ...]:
+        """Return the channels of a list, those of the scan list when it was left out (305: there is none)."""
+        channels = listed(text, self.cards) if text else self.scan.channel_list
+        if not channels:
+            raise ScpiError(305)
+        return channels
+
+    def _split(self, values: tuple[Value, ...]) -> tuple[tuple[Value, ...], tuple[int, ...]]:
+        """Return the values before a channel list, and its channels. Raises `ScpiError` 309 for two lists."""
+        if any(str(value).startswith("(") for value in values[:-1]):
+            raise ScpiError(309)
+        if values and str(values[-1]).startswith("("):
+            return values[:-1], self._of(str(values[-1]))
+        return values, self._of("")
+
+    # --- scan list, relays, system ------------------------------------------------------------------
+
+    def _route_commands(self) -> list[Command]:
+        channels = (ChannelList(),)
+        return [
+            Command("ROUTe:SCAN", lambda text: self.scan.define(listed(text, self.cards)), channels),
+            Command("ROUTe:SCAN?", self._scan_list),
+            Command("ROUTe:SCAN:SIZE?", lambda: integer(len(self.scan.channel_list))),
+            Command("ROUTe:CLOSe", lambda text: self._closed.update(self._of(text)), channels),
+            Command("ROUTe:OPEN", lambda text: self._closed.difference_update(self._of(text)), channels),
+            Command("ROUTe:CLOSe?", partial(self._relays, True), channels),
+            Command("ROUTe:OPEN?", partial(self._relays, False), channels),
+        ]
+
+    def _scan_list(self) -> str:
+        text = f"(@{','.join(map(str, self.scan.channel_list))})"
+        return f"#{len(str(len(text)))}{len(text)}{text}"
+
+    def _relays(self, closed: bool, text: str) -> str:
+        return ",".join(str(int((channel in self._closed) is closed)) for channel in self._of(text))
+
+    def _system_commands(self) -> list[Command]:
+        return [
+            Command("SYSTem:CTYPe?", self._card, (Number(words=()),)),
+            Command("SYSTem:VERSion?", lambda: "1994.0"),
+            Command("INSTrument:DMM?", lambda: "1"),
+            Command("INSTrument:DMM:INSTalled?", lambda: "1"),
+            Command("SYSTem:LOCal", partial(self._set_remote, False)),
+            Command("SYSTem:REMote", partial(self._set_remote, True)),
+            Command("SYSTem:RWLock", partial(self._set_remote, True)),
+        ]
+
+    def _card(self, slot: float) -> str:
+        if slot not in _SLOTS:
+            raise ScpiError(-222)
+        card = self.cards.get(int(slot))
+        return "HEWLETT-PACKARD,0,0,0" if card is None else f"HEWLETT-PACKARD,{card},0,2.3"
+
+    def _set_remote(self, remote: bool) -> None:
+        self._remote = remote
+
+
+def _set_autorange(channel: ChannelConfiguration, flag: Value) -> None:
+    channel.settings.autorange = flag == "1"
+
+
+def _set_autozero(channel: ChannelConfiguration, flag: Value) -> None:
+    # ONCE takes one zero reading and then leaves autozero off.
+    channel.autozero = flag == "1"
+
+
+def _set_impedance(channel: ChannelConfiguration, flag: Value) -> None:
+    channel.high_impedance = flag == "1"
+
+
+def _set_automatic_delay(channel: ChannelConfiguration, flag: Value) -> None:
+    channel.stated_delay_s = None if flag == "1" else channel.delay_s
+
+
+def _set_function(_channel: ChannelConfiguration, name: Value) -> None:
+    if not notation_pattern(DC_VOLTS.notation).match(str(name).strip()):
+        raise ScpiError(-224)

@@ -1,0 +1,1 @@
+"""What simulated SCPI instruments share: commands, values, status."""

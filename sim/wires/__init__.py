@@ -1,0 +1,1 @@
+"""How messages reach simulated instruments: TCP, pseudo-terminals, a GPIB bus, and what goes wrong there."""

@@ -1,0 +1,347 @@
+"""Faults on demand: what goes wrong with a simulated instrument and its wire, when, and how often.
+
+A fault is data, as a bench file or the control states it: `{fault: cut, probability: 0.01}`,
+`{fault: drop, at: 17}`, `{fault: late, matching: "READ?", seconds: 2, instrument: voltmeter.x}`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+
+from drivers.clock import Clock, SystemClock
+from sim.wires.session import DROP, SILENCE, WireFault
+from sim.world.world import keyed_generator
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from sim.wires.session import Dialect
+
+
+class FaultKind(StrEnum):
+    """What goes wrong. The last five are of the instrument, the others of its wire."""
+
+    DROP = "drop"
+    """The command is carried out; the connection is closed in place of the reply."""
+    REFUSE = "refuse"
+    """As drop, and new connections are refused, for `seconds` or until they are accepted again."""
+    LATE = "late"
+    """The reply comes `seconds` late."""
+    TWICE = "twice"
+    """The reply comes twice."""
+    CUT = "cut"
+    """The first part of the reply comes, without its end."""
+    GARBLE = "garble"
+    """The reply comes with every character wrong."""
+    SILENCE = "silence"
+    """The command is carried out; the reply is lost."""
+    HANG = "hang"
+    """This command and those after it are swallowed, for `seconds` or until a device clear or power cycle."""
+    POWER_CYCLE = "power-cycle"
+    """Just before the command the instrument was switched off and on: its settings are gone."""
+    OVERLOAD = "overload"
+    """What is sampled during this command is beyond every range."""
+    LOCAL = "local"
+    """Just before the command somebody pressed the LOCAL key."""
+    ERROR = "error"
+    """Just before the command the error number `error` came into the instrument's queue."""
+
+
+_NEEDS_REPLY: Final = frozenset({FaultKind.LATE, FaultKind.TWICE, FaultKind.CUT, FaultKind.GARBLE})
+_TAKES_SECONDS: Final = frozenset({FaultKind.LATE, FaultKind.REFUSE, FaultKind.HANG})
+_KEYS: Final = ("fault", "probability", "at", "matching", "seconds", "error", "instrument")
+_DATA_OUT_OF_RANGE: Final = -222
+
+
+@runtime_checkable
+class Switchable(Protocol):
+    """An instrument that forgets its settings when it is switched off and on."""
+
+    def power_cycle(self) -> None:
+        """Switch off and on."""
+        ...
+
+
+@runtime_checkable
+class HasLocalKey(Protocol):
+    """An instrument with a LOCAL key on its front panel."""
+
+    def press_local(self) -> None:
+        """Press it."""
+        ...
+
+
+@runtime_checkable
+class HasErrorQueue(Protocol):
+    """An instrument with an error queue."""
+
+    def report(self, number: int) -> None:
+        """Put an error into it."""
+        ...
+
+
+@runtime_checkable
+class HasInput(Protocol):
+    """An instrument that samples a signal; `overloaded` puts the signal beyond every range."""
+
+    overloaded: bool
+
+
+_NEEDS: Final[dict[FaultKind, tuple[type, str]]] = {
+    FaultKind.POWER_CYCLE: (Switchable, "cannot be switched off and on"),
+    FaultKind.LOCAL: (HasLocalKey, "has no LOCAL key"),
+    FaultKind.ERROR: (HasErrorQueue, "has no error queue"),
+    FaultKind.OVERLOAD: (HasInput, "has no input to overload"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One kind of fault and when it strikes.
+
+    `matching` is a part of the command, in any case; exchanges without it are not counted. Of the others
+    each is struck with `probability`, or the `at`-th (1…) alone, or without both every one. A fault of the
+    reply strikes replies only: when the `at`-th command has none, the next one. `instrument` is a name on
+    the bench, empty for all.
+    """
+
+    kind: FaultKind
+    probability: float | None = None
+    at: int | None = None
+    matching: str = ""
+    seconds: float = 0.0
+    error: int = _DATA_OUT_OF_RANGE
+    instrument: str = ""
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` with one sentence for a fault that makes no sense."""
+        if self.probability is not None and not 0.0 <= self.probability <= 1.0:
+            raise ValueError(f"a probability lies between 0 and 1, not at {self.probability:g}")
+        if self.at is not None and self.at < 1:
+            raise ValueError(f"exchanges are counted from 1, 'at' is {self.at}")
+        if self.probability is not None and self.at is not None:
+            raise ValueError("a fault strikes with a probability or at an exchange, not both")
+        if self.probability is None and self.at is None and not self.matching:
+            raise ValueError(f"say when '{self.kind}' strikes: give probability, at or matching")
+        if not 0.0 <= self.seconds < math.inf:
+            raise ValueError(f"seconds are not negative, and not {self.seconds:g}")
+        if self.seconds and self.kind not in _TAKES_SECONDS:
+            raise ValueError(f"'{self.kind}' has no duration; leave out seconds")
+        if self.kind is FaultKind.LATE and not self.seconds:
+            raise ValueError("'late' needs seconds: by how much")
+
+    @classmethod
+    def parse(cls, data: Mapping[str, object]) -> Fault:
+        """Return the fault that plain data states; numbers may be text, as a YAML reader may leave them.
+
+        Raises `ValueError` with one sentence: an unknown key or kind, a number that is none, a fault that
+        makes no sense.
+        """
+        unknown = sorted(set(data) - set(_KEYS))
+        if unknown:
+            raise ValueError(f"a fault has no {', '.join(unknown)}; it has {', '.join(_KEYS)}")
+        named = str(data.get("fault", "")).replace("_", "-")
+        if named not in set(FaultKind):
+            raise ValueError(f"expected fault to be one of {', '.join(FaultKind)}, got '{named}'")
+        if "error" in data and named != FaultKind.ERROR:
+            raise ValueError(f"'{named}' puts no error into the queue; leave out error")
+        error = _whole(data, "error")
+        return cls(
+            FaultKind(named),
+            probability=_number(data, "probability"),
+            at=_whole(data, "at"),
+            matching=str(data.get("matching", "")),
+            seconds=_number(data, "seconds") or 0.0,
+            error=_DATA_OUT_OF_RANGE if error is None else error,
+            instrument=str(data.get("instrument", "")),
+        )
+
+    def told(self) -> dict[str, object]:
+        """Return it as the data that `parse` takes."""
+        fields: dict[str, object] = {
+            "probability": self.probability,
+            "at": self.at,
+            "matching": self.matching or None,
+            "seconds": self.seconds or None,
+            "error": self.error if self.kind is FaultKind.ERROR else None,
+            "instrument": self.instrument or None,
+        }
+        return {"fault": str(self.kind)} | {key: value for key, value in fields.items() if value is not None}
+
+
+def _number(data: Mapping[str, object], key: str) -> float | None:
+    """Return a number of the data, None where it is not stated."""
+    if key not in data:
+        return None
+    try:
+        number = float(str(data[key]))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"expected {key} to be a number, got '{data[key]}'")
+    return number
+
+
+def _whole(data: Mapping[str, object], key: str) -> int | None:
+    number = _number(data, key)
+    if number is None:
+        return None
+    if number != round(number):
+        raise ValueError(f"expected {key} to be a whole number, got '{data[key]}'")
+    return round(number)
+
+
+class _Armed:
+    """A fault with its count and its random numbers."""
+
+    def __init__(self, fault: Fault, generator: np.random.Generator) -> None:
+        self.fault = fault
+        self._generator = generator
+        self._count = 0
+        self._due = False
+
+    def strikes(self, message: bytes, reply: bytes | None) -> bool:
+        """Count one exchange, and tell whether it is struck; `reply` is None where there is none (yet)."""
+        fault = self.fault
+        awaits_reply = fault.kind in _NEEDS_REPLY and reply is None
+        if fault.matching.lower().encode("utf-8") in message.lower():
+            self._count += 1
+            if fault.at is not None:
+                self._due |= self._count == fault.at
+            elif not awaits_reply:
+                self._due = fault.probability is None or self._generator.random() < fault.probability
+        if not self._due or awaits_reply:
+            return False
+        self._due = False
+        return True
+
+    def cut(self, reply: bytes) -> WireFault:
+        """Return the first part of a reply, of a length that is drawn."""
+        return WireFault.cut(reply, int(self._generator.integers(1, max(2, len(reply)))))
+
+
+class FaultyInstrument:
+    """A dialect with faults put in: itself a `Dialect`, and with `wire_fault` the `FaultHook` of its wires.
+
+    `seed` and `name` decide the random numbers. To be called by one thread at a time, as an
+    `sim.wires.session.Instrument` does. Raises `ValueError` for a fault that the instrument cannot have.
+    """
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        name: str,
+        seed: int,
+        faults: Sequence[Fault] = (),
+        clock: Clock | None = None,
+    ) -> None:
+        self.dialect = dialect
+        self.name = name
+        self._seed = seed
+        self._clock = clock or SystemClock()
+        self._armed: list[_Armed] = []
+        self._added = 0
+        self._hung_until_s: float | None = None
+        self._hangs_now = False
+        for fault in faults:
+            self.add(fault)
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """The faults that are armed."""
+        return tuple(armed.fault for armed in self._armed)
+
+    def can_have(self, fault: Fault) -> bool:
+        """Whether the instrument has what the fault needs."""
+        return isinstance(self.dialect, _NEEDS.get(fault.kind, (object, ""))[0])
+
+    def add(self, fault: Fault) -> None:
+        """Arm one more fault; its count begins now. Raises `ValueError` when this instrument cannot have it."""
+        if not self.can_have(fault):
+            raise ValueError(f"{self.name} {_NEEDS[fault.kind][1]}")
+        self._armed.append(_Armed(fault, keyed_generator(self._seed, "fault", self.name, self._added)))
+        self._added += 1
+
+    def clear(self) -> None:
+        """Disarm all faults; a hanging instrument goes on."""
+        self._armed.clear()
+        self._hung_until_s = None
+
+    # --- as a dialect -------------------------------------------------------------------------------
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Carry out a message with the instrument's own faults."""
+        struck = {a.fault.kind: a.fault for a in self._armed if _is_own(a) and a.strikes(message, None)}
+        if hang := struck.get(FaultKind.HANG):
+            self._hung_until_s = self._clock.now_s() + hang.seconds if hang.seconds else math.inf
+        if FaultKind.POWER_CYCLE in struck:
+            self.power_cycle()
+        self._hangs_now = self._hung_until_s is not None and self._clock.now_s() < self._hung_until_s
+        if self._hangs_now:
+            return None
+        if FaultKind.LOCAL in struck and isinstance(self.dialect, HasLocalKey):
+            self.dialect.press_local()
+        if (error := struck.get(FaultKind.ERROR)) and isinstance(self.dialect, HasErrorQueue):
+            self.dialect.report(error.error)
+        if FaultKind.OVERLOAD not in struck or not isinstance(self.dialect, HasInput):
+            return self.dialect.handle(message, interrupted)
+        self.dialect.overloaded = True
+        try:
+            return self.dialect.handle(message, interrupted)
+        finally:
+            self.dialect.overloaded = False
+
+    def device_clear(self) -> None:
+        """Stop what is under way; a hanging instrument goes on."""
+        self._hung_until_s = None
+        self.dialect.device_clear()
+
+    def input_overflow(self) -> None:
+        """Take note that a message was too long to be kept."""
+        self.dialect.input_overflow()
+
+    def power_cycle(self) -> None:
+        """Switch the instrument off and on. Raises `ValueError` when it cannot be."""
+        self._hung_until_s = None
+        if not isinstance(self.dialect, Switchable):
+            raise ValueError(f"{self.name} {_NEEDS[FaultKind.POWER_CYCLE][1]}")
+        self.dialect.power_cycle()
+
+    def press_local(self) -> None:
+        """Press the LOCAL key. Raises `ValueError` where there is none."""
+        if not isinstance(self.dialect, HasLocalKey):
+            raise ValueError(f"{self.name} {_NEEDS[FaultKind.LOCAL][1]}")
+        self.dialect.press_local()
+
+    # --- as a fault hook ----------------------------------------------------------------------------
+
+    def wire_fault(self, message: bytes, reply: bytes | None) -> WireFault | None:
+        """Return what the wire does to this exchange; all faults count it, the first that strikes acts."""
+        struck = [a for a in self._armed if not _is_own(a) and a.strikes(message, reply)]
+        if self._hangs_now or not struck:
+            return None
+        fault, answer = struck[0].fault, reply or b""
+        made = SILENCE
+        match fault.kind:
+            case FaultKind.DROP:
+                made = DROP
+            case FaultKind.REFUSE:
+                made = WireFault(drop=True, refuse=True, refuse_s=fault.seconds)
+            case FaultKind.LATE:
+                made = WireFault(lines=(answer,), delay_s=fault.seconds)
+            case FaultKind.TWICE:
+                made = WireFault(lines=(answer, answer))
+            case FaultKind.CUT:
+                made = struck[0].cut(answer)
+            case FaultKind.GARBLE:
+                made = WireFault.garble(answer)
+        return made
+
+
+def _is_own(armed: _Armed) -> bool:
+    """Whether a fault is the instrument's, not the wire's."""
+    return armed.fault.kind in _NEEDS or armed.fault.kind is FaultKind.HANG

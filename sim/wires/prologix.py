@@ -1,0 +1,304 @@
+"""A simulated GPIB adapter of the Prologix kind, with simulated instruments on its bus.
+
+It is a dialect: served like an instrument, on a port of its own. What it is told it passes on to the
+instrument at the address it is set to; what that answers it hands over when it is told to read, and only
+if the answer comes within its timeout of 3 s or less.
+Source: Prologix GPIB-ETHERNET Controller User Manual, chapters 7 "Data Transmission" and 8 "Commands".
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from sim.scpi.instrument import ScpiInstrument, never
+from sim.world.clock import VirtualClock, wait_until
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from drivers.clock import Clock
+    from sim.wires.session import Dialect
+
+VERSION: Final = "Prologix GPIB-ETHERNET Controller version 01.06.06.00"
+UNRECOGNIZED: Final = b"Unrecognized command\r"
+
+_MESSAGE_AVAILABLE: Final = 16
+_REQUESTS_SERVICE: Final = 64
+_INTERRUPTED: Final = -410
+_UNTERMINATED: Final = -420
+
+_HALF_ESCAPED: Final = re.compile(rb"(?:^|[^\x1b])(?:\x1b\x1b)*\x1b\Z", re.DOTALL)
+_LINE_FEED: Final = 10
+_TERMINATORS: Final = (b"\r\n", b"\r", b"\n", b"")
+
+_RANGES: Final = {
+    "addr": (0, 30),
+    "auto": (0, 1),
+    "eoi": (0, 1),
+    "eos": (0, 3),
+    "eot_char": (_LINE_FEED, _LINE_FEED),
+    "eot_enable": (0, 1),
+    "mode": (0, 1),
+    "read_tmo_ms": (1, 3000),
+    "savecfg": (0, 1),
+}
+"""What each setting may be. As the end of a message the wire carries nothing but LF here."""
+
+
+@dataclass
+class AdapterSettings:
+    """How an adapter is set; as shipped it makes an instrument talk after each command (`auto`)."""
+
+    addr: int = 5
+    auto: int = 1
+    eoi: int = 1
+    eos: int = 0
+    eot_char: int = _LINE_FEED
+    eot_enable: int = 0
+    mode: int = 1
+    read_tmo_ms: int = 200
+    savecfg: int = 1
+
+
+class LookaheadClock(VirtualClock):
+    """The time of one instrument on a bus that does not wait for it.
+
+    What the instrument is told it carries out at once and may so be ahead of the bench: its time then says
+    when it will be ready. The bench's own time moves only while the adapter waits for a reply.
+    """
+
+    def __init__(self, bench: Clock) -> None:
+        super().__init__()
+        self._bench = bench
+        self._ahead_s = -math.inf
+
+    def now_s(self) -> float:
+        """Return the instrument's time, s: the bench's, or later."""
+        return max(self._bench.now_s(), self._ahead_s)
+
+    def sleep(self, duration_s: float) -> None:
+        """Be ahead by `duration_s` more."""
+        self.advance_to(self.now_s() + max(0.0, duration_s))
+
+    def advance_to(self, time_s: float) -> None:
+        """Be ahead until `time_s`."""
+        self._ahead_s = max(self._ahead_s, time_s)
+
+    def return_to_present(self) -> None:
+        """Give up what is ahead: the instrument was cleared."""
+        self._ahead_s = -math.inf
+
+
+class _BusDevice:
+    """An instrument on the bus: what it was sent and not yet ended, its reply, and when that is ready."""
+
+    def __init__(self, instrument: ScpiInstrument, clock: LookaheadClock) -> None:
+        self.instrument = instrument
+        self.dialect: Dialect = instrument
+        self.in_remote = False
+        self.locked_out = False
+        self.ready_s = 0.0
+        self.reply: bytes | None = None
+        self._clock = clock
+        self._input = b""
+
+    def listen(self, data: bytes, ended: bool) -> None:
+        """Take data; a message ends at LF, or with the data where EOI marks it."""
+        self.in_remote = True
+        *messages, self._input = (self._input + data).split(b"\n")
+        if ended and self._input:
+            messages.append(self._input)
+            self._input = b""
+        for message in messages:
+            self.carry_out(message)
+
+    def carry_out(self, message: bytes) -> None:
+        """Carry one message out; a reply that nobody took is lost (-410)."""
+        if self.reply is not None:
+            self.reply = None
+            self.instrument.report(_INTERRUPTED)
+        self.reply = self.dialect.handle(message, never)
+        self.ready_s = self._clock.now_s()
+
+    def clear(self) -> None:
+        """Selected device clear."""
+        self.reply = None
+        self._input = b""
+        self._clock.return_to_present()
+        self.dialect.device_clear()
+
+    def status_byte(self, now_s: float) -> int:
+        """The status byte, with "message available" when the reply is ready."""
+        available = self.reply is not None and self.ready_s <= now_s
+        return self.instrument.status.status_byte | (_MESSAGE_AVAILABLE if available else 0)
+
+
+_Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
+
+
+class GpibAdapter:
+    """The adapter; `clock` is the bench's. Instruments are put on its bus with `attach`.
+
+    `settings` are those it was switched on with. `writes_to_memory` counts how often it saved its settings
+    (savecfg 1): that memory wears.
+    """
+
+    model = "GPIB adapter"
+
+    def __init__(
+        self, clock: Clock, *, version: str = VERSION, settings: AdapterSettings | None = None
+    ) -> None:
+        self.settings = settings or AdapterSettings()
+        self.writes_to_memory = 0
+        self._saved = replace(self.settings)
+        self._clock = clock
+        self._version = version
+        self._devices: dict[int, _BusDevice] = {}
+        self._half = b""
+        self._interrupted: Callable[[], bool] = never
+        self._commands: dict[str, Callable[[list[str]], bytes | None]] = {
+            "clr": self._clear,
+            "ifc": lambda _: None,
+            "llo": lambda _: self._lock_out(),
+            "loc": lambda _: self._go_to_local(),
+            "read": self._read,
+            "rst": lambda _: self.power_cycle(),
+            "spoll": self._serial_poll,
+            "srq": lambda _: self._service_requested(),
+            "trg": self._trigger,
+            "ver": lambda _: self._line(self._version),
+        }
+
+    def attach(self, address: int, make: Callable[[Clock], _Instrument]) -> _Instrument:
+        """Put an instrument on the bus; `make` is given the clock it is to live by. Return the instrument.
+
+        Raises `ValueError` for an address that is taken or not 0…30.
+        """
+        low, high = _RANGES["addr"]
+        if not low <= address <= high or address in self._devices:
+            raise ValueError(f"GPIB address {address} is taken or not in {low} to {high}")
+        clock = LookaheadClock(self._clock)
+        instrument = make(clock)
+        self._devices[address] = _BusDevice(instrument, clock)
+        return instrument
+
+    def let_through(self, address: int, dialect: Dialect) -> None:
+        """From now on let `dialect` carry out what is sent to the instrument there, such as one with faults."""
+        self._devices[address].dialect = dialect
+
+    def in_remote(self, address: int) -> bool:
+        """Whether the instrument there is in remote: it was spoken to, and not sent to local since."""
+        return self._devices[address].in_remote
+
+    def power_cycle(self) -> None:
+        """Switch the adapter off and on: what was not saved of its settings is lost."""
+        self.settings = replace(self._saved)
+        self._half = b""
+
+    # --- what the wire calls ------------------------------------------------------------------------
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
+        """Take one line: a command to the adapter (++) or data for the bus; return what it sends back."""
+        self._interrupted = interrupted
+        message, self._half = self._half + message, b""
+        if _HALF_ESCAPED.search(message):
+            self._half = message + b"\n"  # the line end that cut it was escaped: it goes on
+            return None
+        if message.startswith(b"++"):
+            name, *arguments = message[2:].decode("ascii", "replace").split() or [""]
+            return self._command(name, arguments)
+        return self._write(re.sub(rb"\x1b(.)", rb"\1", message, flags=re.DOTALL)) if message else None
+
+    def device_clear(self) -> None:
+        """Ctrl-C means nothing to an adapter."""
+
+    def input_overflow(self) -> None:
+        """An adapter holds its client up instead."""
+
+    # --- the bus ------------------------------------------------------------------------------------
+
+    @property
+    def _addressed(self) -> _BusDevice | None:
+        return self._devices.get(self.settings.addr) if self.settings.mode else None
+
+    def _write(self, data: bytes) -> bytes | None:
+        device = self._addressed
+        if device is not None:
+            device.listen(data + _TERMINATORS[self.settings.eos], bool(self.settings.eoi))
+        return self._read(["eoi"]) if self.settings.auto else None
+
+    def _read(self, arguments: list[str]) -> bytes | None:
+        """Let the instrument talk, for as long as the timeout allows.
+
+        One that has nothing to say notes an error (-420). Without an argument the adapter goes on waiting
+        after the reply.
+        """
+        if arguments not in ([], ["eoi"], [str(_LINE_FEED)]):
+            return UNRECOGNIZED
+        device = self._addressed
+        deadline_s = self._clock.now_s() + self.settings.read_tmo_ms / 1000.0
+        if device is not None and device.reply is None:
+            device.instrument.report(_UNTERMINATED)
+        if device is None or device.reply is None or device.ready_s > deadline_s:
+            wait_until(self._clock, deadline_s, self._interrupted)
+            return None
+        wait_until(self._clock, device.ready_s, self._interrupted)
+        if not arguments:
+            wait_until(self._clock, deadline_s, self._interrupted)
+        reply, device.reply = device.reply, None
+        # The wire ends each line with LF, here the instrument's own, or the one that stands for EOI.
+        return reply + b"\n" if self.settings.eot_enable else reply
+
+    def _clear(self, _arguments: list[str]) -> None:
+        if self._addressed is not None:
+            self._addressed.clear()
+
+    def _lock_out(self) -> None:
+        if self._addressed is not None:
+            self._addressed.locked_out = True
+
+    def _go_to_local(self) -> None:
+        if self._addressed is not None:
+            self._addressed.in_remote = self._addressed.locked_out = False
+
+    def _trigger(self, arguments: list[str]) -> None:
+        """Give a group execute trigger to the addresses that are named, or to the one that is set."""
+        for address in [int(a) for a in arguments if a.isdecimal()] or [self.settings.addr]:
+            if address in self._devices:
+                self._devices[address].carry_out(b"*TRG")
+
+    def _serial_poll(self, arguments: list[str]) -> bytes | None:
+        address = int(arguments[0]) if arguments and arguments[0].isdecimal() else self.settings.addr
+        device = self._devices.get(address)
+        return None if device is None else self._line(device.status_byte(self._clock.now_s()))
+
+    def _service_requested(self) -> bytes:
+        now_s = self._clock.now_s()
+        requested = any(d.status_byte(now_s) & _REQUESTS_SERVICE for d in self._devices.values())
+        return self._line(int(requested))
+
+    # --- commands -----------------------------------------------------------------------------------
+
+    def _command(self, name: str, arguments: list[str]) -> bytes | None:
+        if name in self._commands:
+            return self._commands[name](arguments)
+        if name not in _RANGES:
+            return UNRECOGNIZED
+        if not arguments:
+            return self._line(getattr(self.settings, name))
+        low, high = _RANGES[name]
+        if not arguments[0].isdecimal() or not low <= int(arguments[0]) <= high:
+            return UNRECOGNIZED
+        setattr(self.settings, name, int(arguments[0]))
+        if self.settings.savecfg and name != "addr":
+            self._saved = replace(self.settings)
+            self.writes_to_memory += 1
+        return None
+
+    @staticmethod
+    def _line(value: object) -> bytes:
+        """The adapter's own lines end in CR LF; the wire adds the LF."""
+        return f"{value}\r".encode("ascii")

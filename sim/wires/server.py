@@ -1,0 +1,202 @@
+"""Serves an instrument on a TCP port, to several clients at once."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+from typing import TYPE_CHECKING, Final
+
+from sim.wires.session import TERMINATOR, Session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+    from sim.wires.session import FaultHook, Instrument
+
+_CHUNK: Final = 65536
+_BACKLOG: Final = 16
+_JOIN_S: Final = 5.0
+
+
+class TcpTransport:
+    """One accepted connection. Replies end in LF, and small packets leave at once both ways."""
+
+    terminator = TERMINATOR
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        connection.setblocking(True)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._acknowledge_quickly()
+
+    def wait(self) -> None:
+        """Wait until there is input, or the connection is closed."""
+        self._socket.recv(1, socket.MSG_PEEK)
+
+    def receive(self) -> bytes:
+        """Return the input that is there; empty when the client has left."""
+        data = self._socket.recv(_CHUNK)
+        self._acknowledge_quickly()
+        return data
+
+    def has_input(self) -> bool:
+        """Whether `receive` would return at once."""
+        try:
+            return bool(select.select([self._socket], [], [], 0.0)[0])
+        except ValueError as error:
+            raise OSError("the connection was closed by the server") from error
+
+    def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
+        """Send all of `data`; a client that takes none holds up nobody but itself, and may leave."""
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        """Close the connection, and wake the thread that waits on it."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+    def _acknowledge_quickly(self) -> None:
+        # A client that has left Nagle's algorithm on waits for our acknowledgement before it sends its next
+        # command; Linux forgets the option with each use, other systems do not have it.
+        option = getattr(socket, "TCP_QUICKACK", None)
+        if option is not None:
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(socket.IPPROTO_TCP, option, 1)
+
+
+class TcpServer:
+    """A listening port for one instrument; a context manager.
+
+    `port` 0 takes a free one. Loopback is the default, as whoever reaches the port commands the instrument.
+    """
+
+    def __init__(self, instrument: Instrument, *, host: str = "127.0.0.1", port: int = 0) -> None:
+        self.instrument = instrument
+        self.host = host
+        self.port = port
+        self._state_lock = threading.Lock()
+        self._listener: socket.socket | None = None
+        self._accepting: threading.Thread | None = None
+        self._later: threading.Timer | None = None
+        self._clients: dict[threading.Thread, TcpTransport] = {}
+
+    def __enter__(self) -> TcpServer:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    @property
+    def fault(self) -> FaultHook | None:
+        """What the instrument's wires do to exchanges, on this port and on all its others."""
+        return self.instrument.fault
+
+    @fault.setter
+    def fault(self, hook: FaultHook | None) -> None:
+        self.instrument.fault = hook
+
+    @property
+    def address(self) -> str:
+        """Host and port, such as "127.0.0.1:5025"."""
+        return f"{self.host}:{self.port}"
+
+    @property
+    def resource(self) -> str:
+        """The VISA name of the port."""
+        return f"TCPIP0::{self.host}::{self.port}::SOCKET"
+
+    def start(self) -> None:
+        """Listen. Raises `OSError` when the port is taken."""
+        listener = socket.create_server((self.host, self.port), backlog=_BACKLOG)
+        self.port = listener.getsockname()[1]
+        self._listener = listener
+        self._accepting = threading.Thread(
+            target=self._accept, args=(listener,), name=f"accept {self.port}", daemon=True
+        )
+        self._accepting.start()
+
+    def stop(self) -> None:
+        """Stop listening, close all connections, and wait for their threads."""
+        self.refuse()
+        if self._later is not None:
+            self._later.cancel()
+        with self._state_lock:
+            clients = dict(self._clients)
+        for transport in clients.values():
+            transport.close()
+        for thread in clients:
+            if thread is not threading.current_thread():
+                thread.join(_JOIN_S)
+
+    def drop_connections(self) -> None:
+        """Close the connections that are open, and go on listening."""
+        with self._state_lock:
+            transports = list(self._clients.values())
+        for transport in transports:
+            transport.close()
+
+    def refuse(self, duration_s: float = 0.0) -> None:
+        """Stop listening: new connections are refused from now on, for a while or until `accept_again`."""
+        if duration_s > 0.0:
+            self._later = threading.Timer(duration_s, self._try_again)
+            self._later.daemon = True
+            self._later.start()
+        listener, self._listener = self._listener, None
+        if listener is None:
+            return
+        # Closing does not wake a thread in accept() on every system; a connection of our own does.
+        with contextlib.suppress(OSError), socket.create_connection((self.host, self.port), timeout=1.0):
+            pass
+        if self._accepting is not None and self._accepting is not threading.current_thread():
+            self._accepting.join(_JOIN_S)
+        listener.close()
+
+    def accept_again(self) -> None:
+        """Listen on the same port again after `refuse`."""
+        if self._listener is None:
+            self.start()
+
+    def _try_again(self) -> None:
+        with contextlib.suppress(OSError):  # the port went to somebody else: it stays refused
+            self.accept_again()
+
+    def _accept(self, listener: socket.socket) -> None:
+        while True:
+            try:
+                connection, _ = listener.accept()
+            except OSError:
+                return
+            if self._listener is not listener:
+                connection.close()
+                return
+            self._serve(connection)
+
+    def _serve(self, connection: socket.socket) -> None:
+        try:
+            transport = TcpTransport(connection)
+        except OSError:
+            connection.close()
+            return
+        session = Session(transport, self.instrument, self.refuse)
+
+        def run() -> None:
+            try:
+                session.run()
+            finally:
+                with self._state_lock:
+                    self._clients.pop(threading.current_thread(), None)
+
+        thread = threading.Thread(target=run, name=f"client of {self.port}", daemon=True)
+        with self._state_lock:
+            self._clients[thread] = transport
+        thread.start()

@@ -1,0 +1,308 @@
+"""How bytes become messages to an instrument and replies become bytes, whatever carries them.
+
+Three layers apart: a `Transport` moves bytes, a `Framer` cuts messages out of them, a `Dialect` understands
+them. An `Instrument` is a dialect as all its wires share it, a `Session` one client at it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+from drivers.clock import Clock, SystemClock
+from sim.wires.traffic import Doing, Traffic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+DEVICE_CLEAR: Final = b"\x03"
+TERMINATOR: Final = b"\n"
+
+_INPUT_BUFFER: Final = 65536
+_LATE_SLICE_S: Final = 0.02
+
+
+class Dialect(Protocol):
+    """An instrument as the wire sees it: messages in, reply lines out, both without terminators."""
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Carry out a message; return the reply, None if there is none.
+
+        While it waits it asks `interrupted` whether a device clear has come in, and then gives up.
+        """
+        ...
+
+    def device_clear(self) -> None:
+        """Stop what is under way."""
+        ...
+
+    def input_overflow(self) -> None:
+        """Take note that a message was too long to be kept."""
+        ...
+
+
+class Transport(Protocol):
+    """One client's wire. `terminator` ends each reply on it. Any method may raise `OSError`."""
+
+    terminator: bytes
+
+    def wait(self) -> None:
+        """Wait until there is input, or the wire is closed."""
+        ...
+
+    def receive(self) -> bytes:
+        """Return the input that is there; empty when the wire is closed."""
+        ...
+
+    def has_input(self) -> bool:
+        """Whether `receive` would return at once."""
+        ...
+
+    def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
+        """Send all of `data`, or give the rest up when the client takes none and `interrupted` is true."""
+        ...
+
+    def close(self) -> None:
+        """Close the wire, and wake whoever waits on it."""
+        ...
+
+
+@dataclass(frozen=True)
+class WireFault:
+    """What a broken wire does to one exchange: what is sent in place of the reply, and what then happens.
+
+    After `delay_s` of real time `raw` goes out as it is, then each of `lines` with the terminator of the wire.
+    `drop` closes the connection after that; `refuse` also refuses new ones, for `refuse_s` of real time or,
+    where that is 0, until the server is told to `accept_again`.
+    """
+
+    raw: bytes = b""
+    lines: tuple[bytes, ...] = ()
+    delay_s: float = 0.0
+    drop: bool = False
+    refuse: bool = False
+    refuse_s: float = 0.0
+
+    @classmethod
+    def cut(cls, reply: bytes | None, keep: int) -> WireFault:
+        """Only the first `keep` bytes of the reply arrive, and no terminator."""
+        return cls((reply or b"")[:keep])
+
+    @classmethod
+    def garble(cls, reply: bytes | None) -> WireFault:
+        """The reply arrives with its line end, every character in it wrong."""
+        return cls(lines=(bytes(0x40 | (byte & 0x1F) for byte in reply or b""),))
+
+
+SILENCE: Final = WireFault()
+"""The command was carried out, the reply is lost."""
+
+DROP: Final = WireFault(drop=True)
+"""The connection is closed in place of the reply."""
+
+REFUSE: Final = WireFault(drop=True, refuse=True)
+"""The connection is closed, and new ones are refused."""
+
+FaultHook = Callable[[bytes, bytes | None], WireFault | None]
+"""Called with each request and its reply (None: there is none); returns what the wire does instead.
+
+One call at a time for one instrument, in the order in which its messages were carried out."""
+
+
+class Overflow:
+    """What a framer yields in place of a message that was too long."""
+
+
+class Framer:
+    """Cuts messages at LF, a CR before it dropped. A device clear discards what came before it."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._too_long = False
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes from the wire."""
+        self._buffer += data
+
+    @property
+    def device_clear_pending(self) -> bool:
+        """Whether a device clear has come in and was not taken yet."""
+        return DEVICE_CLEAR in self._buffer
+
+    def take(self) -> bytes | Overflow | None:
+        """Return the next message, `DEVICE_CLEAR`, an `Overflow`; None when no message is complete."""
+        _, clear, after = self._buffer.rpartition(DEVICE_CLEAR)
+        if clear:
+            self._buffer = after
+            self._too_long = False
+            return DEVICE_CLEAR
+        line, end, rest = self._buffer.partition(TERMINATOR)
+        if not end:
+            if len(self._buffer) > _INPUT_BUFFER:
+                self._buffer.clear()
+                self._too_long = True
+            return None
+        self._buffer = rest
+        if self._too_long or len(line) > _INPUT_BUFFER:
+            self._too_long = False
+            return Overflow()
+        return bytes(line.removesuffix(b"\r"))
+
+
+class Instrument:
+    """A dialect as all its wires share it: one message at a time is carried out, whoever sent it.
+
+    `fault` may be set and taken away at any time; `traffic` is shared by the instruments of a bench on a
+    virtual clock.
+    """
+
+    def __init__(
+        self, dialect: Dialect, traffic: Traffic | None = None, fault: FaultHook | None = None
+    ) -> None:
+        self.dialect = dialect
+        self.traffic = traffic or Traffic()
+        self.fault = fault
+        self._lock = threading.Lock()
+        self._clearing: set[Session] = set()
+
+    def exchange(
+        self, session: Session, message: bytes, interrupted: Callable[[], bool]
+    ) -> tuple[bytes | None, WireFault | None]:
+        """Carry a message out; return the reply and what the wire makes of it."""
+
+        def cleared() -> bool:
+            return bool(self._clearing) or interrupted()
+
+        with self._held(session):
+            reply = self.dialect.handle(message, cleared)
+            return reply, self.fault(message, reply) if self.fault else None
+
+    def device_clear(self, session: Session) -> None:
+        """Stop what is under way, also for another client: there is one instrument."""
+        self._clearing.add(session)
+        try:
+            with self._held(session):
+                self.dialect.device_clear()
+        finally:
+            self._clearing.discard(session)
+
+    def input_overflow(self, session: Session) -> None:
+        """Take note that a message was too long to be kept."""
+        with self._held(session):
+            self.dialect.input_overflow()
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep all wires off the instrument meanwhile, to do something to it from outside."""
+        with self._lock:
+            yield
+
+    @contextmanager
+    def _held(self, session: Session) -> Iterator[None]:
+        if not self._lock.acquire(blocking=False):
+            self.traffic.mark(session, Doing.WAITING)
+            self._lock.acquire()
+            self.traffic.mark(session, Doing.WORKING)
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+
+class Session:
+    """One client at one instrument. `on_refuse` is told for how long new clients are to be refused, s."""
+
+    def __init__(
+        self,
+        transport: Transport,
+        instrument: Instrument,
+        on_refuse: Callable[[float], None],
+        clock: Clock | None = None,
+    ) -> None:
+        self.doing = Doing.LISTENING
+        self._transport = transport
+        self._instrument = instrument
+        self._traffic = instrument.traffic
+        self._on_refuse = on_refuse
+        self._clock = clock or SystemClock()
+        self._framer = Framer()
+
+    def has_work(self) -> bool:
+        """Whether this session works, or has input to work on. The input is looked at first: see `run`."""
+        if self.doing is Doing.WAITING:
+            return False
+        try:
+            pending = self._transport.has_input()
+        except OSError:
+            pending = False
+        return pending or self.doing is Doing.WORKING
+
+    def run(self) -> None:
+        """Serve the client until it leaves. A wire that breaks ends the session and nothing else."""
+        self._traffic.enter(self)
+        try:
+            while True:
+                self._transport.wait()
+                # Marked before the input is taken: at no moment has the session work that cannot be seen.
+                self._traffic.mark(self, Doing.WORKING)
+                if not self._receive() or not self._answer_all():
+                    return
+                self._traffic.mark(self, Doing.LISTENING)
+        except OSError:
+            return
+        finally:
+            self._traffic.leave(self)
+            self._transport.close()
+
+    def _receive(self) -> bool:
+        data = self._transport.receive()
+        self._framer.feed(data)
+        return bool(data)
+
+    def _interrupted(self) -> bool:
+        if self._transport.has_input():
+            self._receive()
+        return self._framer.device_clear_pending
+
+    def _answer_all(self) -> bool:
+        """Carry out the messages that are complete; False when the connection is to be closed."""
+        while (message := self._framer.take()) is not None:
+            if isinstance(message, Overflow):
+                self._instrument.input_overflow(self)
+            elif message == DEVICE_CLEAR:
+                self._instrument.device_clear(self)
+            elif not self._answer(*self._instrument.exchange(self, message, self._interrupted)):
+                return False
+        return True
+
+    def _answer(self, reply: bytes | None, fault: WireFault | None) -> bool:
+        if fault is None:
+            if reply is not None:
+                self._transport.send(reply + self._transport.terminator, self._interrupted)
+            return True
+        if self._in_time(fault.delay_s):
+            data = fault.raw + b"".join(line + self._transport.terminator for line in fault.lines)
+            if data:
+                self._transport.send(data, self._interrupted)
+        if fault.refuse:
+            self._on_refuse(fault.refuse_s)
+        return not fault.drop
+
+    def _in_time(self, delay_s: float) -> bool:
+        """Let real time pass before a late reply; False when a device clear made it void meanwhile."""
+        if delay_s <= 0.0:
+            return True
+        self._traffic.mark(self, Doing.WAITING)
+        end_s = self._clock.now_s() + delay_s
+        try:
+            while not self._interrupted():
+                left_s = end_s - self._clock.now_s()
+                if left_s <= 0.0:
+                    return True
+                self._clock.sleep(min(left_s, _LATE_SLICE_S))
+            return False
+        finally:
+            self._traffic.mark(self, Doing.WORKING)

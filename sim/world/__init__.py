@@ -1,0 +1,1 @@
+"""The physical truth of a simulated bench: head, block, temperature, time, the person."""

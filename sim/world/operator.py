@@ -1,0 +1,160 @@
+"""The person at a simulated bench: turns the head by hand, reads the scale, and errs now and then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
+from sim.world.world import keyed_generator
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from drivers.interfaces import Direction
+    from sim.world.world import World
+
+ARCSEC_RAD: Final = math.pi / 648000.0
+
+_SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
+
+
+@dataclass(frozen=True)
+class OperatorSettings:
+    """How the person works.
+
+    The head is set to the target within a normal `setting_deviation_rad`, to a whole step of the scale,
+    `resolution_rad`. A turn takes a uniform time within `turn_time_s`, a mounting `mount_time_s`, any other
+    task `task_time_s`, a second look at the scale `second_look_s`. `slip_probability` is that of a classic
+    slip in what is typed (1°, 10′ or 1′ off) while the head stands right.
+    """
+
+    setting_deviation_rad: float = 2.0 * ARCSEC_RAD
+    resolution_rad: float = ARCSEC_RAD
+    turn_time_s: tuple[float, float] = (60.0, 180.0)
+    mount_time_s: float = 1200.0
+    task_time_s: float = 30.0
+    second_look_s: float = 15.0
+    slip_probability: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for a scale without steps: what is read could not be typed."""
+        if self.resolution_rad <= 0.0:
+            raise ValueError(f"the scale's resolution must be positive, not {self.resolution_rad} rad")
+
+
+class ScriptedOperator:
+    """A `drivers.interfaces.Person` who carries out `prompt.action` on the world and answers.
+
+    What is random is keyed by the step in the prompt's id (the part before "#") and the world's seed, so
+    that a step repeated in another process goes the same way. A question put again ("…#2") is answered
+    with care: without a slip, and without turning the head again.
+    """
+
+    def __init__(self, world: World, settings: OperatorSettings | None = None) -> None:
+        self._world = world
+        self._settings = settings or OperatorSettings()
+        self._turned_for: str | None = None
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Do what the prompt's action asks, let the time it takes pass, and answer.
+
+        Raises `NoAnswer` for a question whose action says nothing and that has no default.
+        """
+        action = prompt.action
+        match action.get("do"):
+            case "mount":
+                text = self._mount(prompt, str(action["installation"]), _whole(action.get("series", 1)))
+            case "turn":
+                direction: Direction = 1 if _number(action["direction"]) > 0 else -1
+                text = self._turn(prompt.id, _number(action["target_rad"]), direction)
+            case "set_temperature":
+                self._pass_time(self._settings.task_time_s)
+                self._world.set_chamber(_number(action["target_c"]))
+                text = _confirmation(prompt)
+            case "read_temperature":
+                self._pass_time(self._settings.task_time_s)
+                text = f"{self._world.block_c:.2f}"
+            case "select_input":
+                text = self._select_input(prompt)
+            case _:
+                text = _default(prompt)
+        return Answer(prompt.id, text)
+
+    def _mount(self, prompt: Prompt, installation: str, series: int) -> str:
+        self._pass_time(self._settings.mount_time_s)
+        self._world.mount(installation, series)
+        self._turned_for = None
+        return _confirmation(prompt)
+
+    def _select_input(self, prompt: Prompt) -> str:
+        """Switch all three inputs together, as the procedure wants it."""
+        self._pass_time(self._settings.task_time_s)
+        reference = prompt.action.get("reference_v")
+        source = str(prompt.action["source"])
+        self._world.select_input(source, None if reference is None else _number(reference))
+        return _confirmation(prompt)
+
+    def _turn(self, prompt_id: str, target_rad: float, direction: Direction) -> str:
+        step, _, attempt = prompt_id.partition("#")
+        settings = self._settings
+        generator = self._generator("turn", step)
+        deviation_rad = float(generator.normal(0.0, settings.setting_deviation_rad))
+        duration_s = float(generator.uniform(*settings.turn_time_s))
+        scale_steps = round((target_rad + deviation_rad) / settings.resolution_rad)
+        read_arcsec = scale_steps * settings.resolution_rad / ARCSEC_RAD
+        if self._turned_for == step:
+            self._pass_time(settings.second_look_s)
+        else:
+            self._pass_time(duration_s)
+            self._world.turn(scale_steps * settings.resolution_rad, direction)
+            self._turned_for = step
+        if attempt in ("", "1") and generator.random() < settings.slip_probability:
+            read_arcsec += float(generator.choice(_SLIPS_ARCSEC))
+        return scale_text(read_arcsec)
+
+    def _generator(self, purpose: str, step: str) -> np.random.Generator:
+        return keyed_generator(self._world.settings.seed, "operator", purpose, step)
+
+    def _pass_time(self, duration_s: float) -> None:
+        self._world.clock.sleep(duration_s)
+
+
+def scale_text(angle_arcsec: float) -> str:
+    """Return an angle as it is read and typed: "45 00 03", "360 00 00", "-0 00 02"; 0.001″ at the finest."""
+    thousandths = round(abs(angle_arcsec) * 1000.0)
+    seconds, fraction = divmod(thousandths, 1000)
+    minutes, seconds = divmod(seconds, 60)
+    degrees, minutes = divmod(minutes, 60)
+    sign = "-" if angle_arcsec < 0.0 and thousandths else ""
+    decimals = f".{fraction:03d}".rstrip("0") if fraction else ""
+    return f"{sign}{degrees} {minutes:02d} {seconds:02d}{decimals}"
+
+
+def _confirmation(prompt: Prompt) -> str:
+    return prompt.default if prompt.default is not None else "yes"
+
+
+def _default(prompt: Prompt) -> str:
+    if prompt.default is not None:
+        return prompt.default
+    wanted = (
+        "a confirmation" if prompt.kind is PromptKind.CONFIRM else f"an answer of kind {prompt.kind.value!r}"
+    )
+    raise NoAnswer(
+        "operator",
+        f"the scripted operator has no answer to {prompt.text!r}, which wants {wanted}",
+        "give the prompt a default in the procedure, or run it with a person",
+    )
+
+
+def _number(value: object) -> float:
+    """Return a number of an action. Raises `TypeError` for anything else."""
+    if not isinstance(value, int | float):
+        raise TypeError(f"an action needs a number here, not {value!r}")
+    return float(value)
+
+
+def _whole(value: object) -> int:
+    return int(_number(value))

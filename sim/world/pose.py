@@ -1,0 +1,75 @@
+"""How the block stood in the course of a run, and what the forward model makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.model import Conditions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bench.model import Block, ForwardModel
+    from drivers.interfaces import Direction
+    from sim.world.turning import HeadTurn
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """How the block stands from `since_s` on. Compared by identity: each pose is an event of its own.
+
+    `demanded_rad` is where the head was sent, which a fault may keep it from; `stuck` that one has. `input_v`
+    is the voltage at all three inputs in place of the block's signals, None for the signals.
+    """
+
+    since_s: float
+    installation: str
+    series: int
+    stand_rad: Floats
+    turn: HeadTurn
+    setting_error_rad: float
+    direction: Direction | None
+    demanded_rad: float
+    stuck: bool = False
+    input_v: float | None = None
+
+
+class Visit(NamedTuple):
+    """A pose at a time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
+
+    `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered.
+    """
+
+    pose: Pose
+    time_s: float
+    elapsed_s: float
+    block_c: float
+    scan: tuple[int, ...] = (0, 1, 2)
+
+
+def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
+    """Return the signals of visits in the order of time, V, shape (n, 3): effects look back along them.
+
+    What is at the inputs in place of the block's signals shows the effects of the meters alone.
+    """
+    poses = [visit.pose for visit in visits]
+    conditions = Conditions.of(
+        [pose.installation for pose in poses],
+        [visit.pose.turn.angle_rad(visit.time_s) for visit in visits],
+        series=[pose.series for pose in poses],
+        direction=[pose.direction or 0 for pose in poses],
+        time_s=[visit.elapsed_s for visit in visits],
+        temperature_c=[visit.block_c for visit in visits],
+        scan_order=[visit.scan for visit in visits],
+    )
+    first = [int(np.argmax(conditions.mount == mount)) for mount in range(len(conditions.mounts))]
+    stand_rad = np.stack([poses[row].stand_rad for row in first])
+    setting_rad = np.array([pose.setting_error_rad for pose in poses])
+    voltage_v = np.array([[np.nan if pose.input_v is None else pose.input_v] * 3 for pose in poses])
+    return model.readings_in_order(block, conditions, stand_rad, setting_rad, voltage_v=voltage_v)

@@ -1,0 +1,390 @@
+"""The physical truth of a simulated bench: head, block, temperature. It holds no instrument state.
+
+Random numbers never come from one running generator: each is derived from the seed, what it is for, and
+the step of the procedure that needs it. A world that is set up again in a new process therefore draws the
+very same numbers for the same step, whatever happened before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from bisect import bisect_right
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.model import STAND_ANGLES, Distribution, stand_errors
+from drivers.interfaces import CHANNELS
+from sim.world.heat import Heat
+from sim.world.inputs import Terminals
+from sim.world.pose import Pose, Visit, readings_of
+from sim.world.turning import HeadFault, HeadTurn
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bench.model import Block, ForwardModel
+    from drivers.clock import Clock
+    from drivers.interfaces import Channel, Direction
+
+Floats = NDArray[np.float64]
+
+SETTING_ERROR: Final = "setting_error"
+VOLTMETER_ERROR: Final = "voltmeter_error"
+STAND_NAMES: Final = (*STAND_ANGLES, SETTING_ERROR, VOLTMETER_ERROR)
+
+_NO_ERROR: Final = Distribution(0.0)
+_CACHED_SIGNALS: Final = 4096
+
+
+def keyed_generator(seed: int, *key: object) -> np.random.Generator:
+    """Return the generator that belongs to `seed` and `key`; equal arguments give equal numbers."""
+    text = "\x1f".join(str(part) for part in (seed, *key))
+    return np.random.default_rng(np.frombuffer(hashlib.sha256(text.encode()).digest(), dtype=np.uint32))
+
+
+@dataclass(frozen=True)
+class WorldSettings:
+    """What the world is like.
+
+    `stand` gives the distribution of each stand error by its name in `STAND_NAMES`: the stand angles
+    (rad, drawn at each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and
+    "voltmeter_error" (V, drawn for each reading of each channel); a name left out is zero.
+    `ambient_c` is the room; `block_time_constant_s` is the lag of the block behind the chamber. A chamber
+    with a controller takes its air along at `chamber_rate_c_s` behind a lag of `chamber_lag_s`, and back to
+    the room with `chamber_off_lag_s` when it is switched off.
+    """
+
+    block: Block
+    model: ForwardModel
+    stand: Mapping[str, Distribution]
+    seed: int
+    ambient_c: float = 23.0
+    block_time_constant_s: float = 750.0
+    chamber_rate_c_s: float = 4.0 / 60.0
+    chamber_lag_s: float = 120.0
+    chamber_off_lag_s: float = 3600.0
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for a stand error that the world does not know."""
+        unknown = sorted(set(self.stand) - set(STAND_NAMES))
+        if unknown:
+            raise ValueError(f"not a stand error: {', '.join(unknown)}; known are {', '.join(STAND_NAMES)}")
+
+
+class World:
+    """The bench as it really is: what the head's scale cannot show and the meters only look at.
+
+    `began_s` is the clock's time at which the world began (0 for a virtual clock; a world on the system's
+    clock passes its present time). All methods may be called from any thread.
+    """
+
+    def __init__(self, settings: WorldSettings, clock: Clock, began_s: float = 0.0) -> None:
+        self.settings = settings
+        self.clock = clock
+        self.began_s = began_s
+        self._lock = threading.RLock()
+        self._step: str | None = None
+        self._counts: Counter[tuple[str, ...]] = Counter()
+        self._voltmeter_error_v: dict[Channel, float] = dict.fromkeys(CHANNELS, 0.0)
+        self._signals: dict[object, Floats] = {}
+        now_s = clock.now_s()
+        self._heat = Heat(now_s, settings.ambient_c, settings.block_time_constant_s)
+        self._chamber_demand_c: float | None = None
+        self._chamber_offset_c = 0.0
+        self.head_fault = HeadFault()
+        installation = next(iter(settings.model.installations))
+        stand_rad = self._stand_rad(installation, 1)
+        at_zero = HeadTurn(now_s, 0.0, 0.0)
+        self._poses = [Pose(now_s, installation, 1, stand_rad, at_zero, 0.0, None, 0.0)]
+        self._read: list[Visit] = []
+        self._told_scan: tuple[int, ...] = ()
+        self._triggered: dict[int, tuple[int, ...]] = {}
+
+    # --- random numbers -----------------------------------------------------------------------------
+
+    def begin_step(self, key: str, scan: tuple[int, ...] = ()) -> None:
+        """From now on key random numbers by this step of the procedure (its attempt included).
+
+        `scan` holds the channels 0, 1, 2 in the order in which it reads them. Where it is not told, it is
+        that of the triggers, which wires of several meters may mix up.
+        """
+        with self._lock:
+            self._step, self._told_scan = key, scan
+            self._counts.clear()
+
+    def random(self, purpose: str, *key: object) -> np.random.Generator:
+        """Return the generator for a purpose within the current step; the same each time it is asked."""
+        return keyed_generator(self.settings.seed, purpose, "step", self._step or "", *key)
+
+    def count(self, *what: str) -> int:
+        """Count an event within the current step; return its number, from 1."""
+        with self._lock:
+            self._counts[what] += 1
+            return self._counts[what]
+
+    def fixed_random(self, purpose: str, *key: object) -> np.random.Generator:
+        """Return the generator for something drawn once for the whole world, such as a meter's gain."""
+        return keyed_generator(self.settings.seed, purpose, "world", *key)
+
+    def _draw(self, name: str, generator: np.random.Generator) -> float:
+        return self.settings.stand.get(name, _NO_ERROR).draw(generator)
+
+    def _stand_rad(self, installation: str, series: int) -> Floats:
+        return stand_errors(
+            **{name: self._draw(name, self.fixed_random(name, series, installation)) for name in STAND_ANGLES}
+        )
+
+    # --- what is done to the bench ------------------------------------------------------------------
+
+    def mount(self, installation: str, series: int = 1) -> None:
+        """Mount the block; the stand angles depend on the seed, the series and the installation alone.
+
+        Raises `KeyError` for an installation that the model does not have.
+        """
+        if installation not in self.settings.model.installations:
+            known = ", ".join(self.settings.model.installations)
+            raise KeyError(f"the bench has no installation {installation!r}; it has {known}")
+        with self._lock:
+            stand_rad = self._stand_rad(installation, series)
+            self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
+
+    def turn(self, scale_angle_rad: float, direction: Direction) -> None:
+        """Turn the head until its scale shows `scale_angle_rad`; the true angle differs by a fresh alpha4."""
+        with self._lock:
+            self._pose_on(
+                turn=HeadTurn(self.clock.now_s(), scale_angle_rad, scale_angle_rad),
+                setting_error_rad=self._draw(SETTING_ERROR, self.random(SETTING_ERROR, self.count("turn"))),
+                direction=direction,
+                demanded_rad=scale_angle_rad,
+                stuck=False,
+            )
+
+    def move_head(self, target_rad: float, speed_rad_s: float) -> None:
+        """Let the motor take the head to `target_rad` of its scale, as far as `head_fault` lets it.
+
+        alpha4 belongs to the step and to the target, so that it is the same whether the head had to back
+        off first or not. A head that was sent there already is left alone.
+        """
+        with self._lock:
+            now_s, start_rad = self.clock.now_s(), self.scale_angle_rad
+            last = self._poses[-1]
+            if target_rad == last.demanded_rad and not last.stuck:
+                return
+            end_rad, stuck = self.head_fault.end_rad(start_rad, target_rad)
+            place = f"{target_rad:.9f}"
+            generator = self.random(SETTING_ERROR, "move", place, self.count("move", place))
+            self._pose_on(
+                turn=HeadTurn(now_s, start_rad, end_rad, speed_rad_s),
+                setting_error_rad=self._draw(SETTING_ERROR, generator),
+                direction=last.direction if end_rad == start_rad else (1 if end_rad > start_rad else -1),
+                demanded_rad=target_rad,
+                stuck=stuck,
+            )
+
+    def stop_head(self) -> None:
+        """Let the motor stop the head where it is."""
+        with self._lock:
+            angle_rad = self.scale_angle_rad
+            at_rest = HeadTurn(self.clock.now_s(), angle_rad, angle_rad)
+            self._pose_on(turn=at_rest, demanded_rad=angle_rad, stuck=False)
+
+    def _pose_on(self, **changes: Any) -> None:
+        self._poses.append(replace(self._poses[-1], since_s=self.clock.now_s(), **changes))
+
+    def select_input(self, source: str, reference_v: float | None = None) -> None:
+        """Switch all three meters to the block's "signal", to a "short", or to a "reference" of `reference_v`, V.
+
+        Raises `ValueError` for another source, or a reference without its voltage.
+        """
+        inputs = {"signal": None, "short": 0.0, "reference": reference_v}
+        if source not in inputs:
+            raise ValueError(f"an input is switched to {', '.join(inputs)}, not to {source!r}")
+        input_v = inputs[source]
+        if source == "reference" and input_v is None:
+            raise ValueError("a reference has a voltage")
+        with self._lock:
+            self._pose_on(input_v=input_v)
+
+    def set_chamber(self, target_c: float) -> None:
+        """Set the air of the chamber to a temperature, at once, °C; the block follows with its lag."""
+        with self._lock:
+            self._chamber_demand_c = None
+            self._heat.set_air(self.clock.now_s(), target_c)
+
+    def ramp_chamber(self, target_c: float) -> None:
+        """Let the chamber's controller take the air to a temperature, °C, at its rate and with its lag."""
+        with self._lock:
+            self._chamber_demand_c = target_c
+            self._heat.ramp_air(
+                self.clock.now_s(),
+                target_c + self._chamber_offset_c,
+                self.settings.chamber_rate_c_s,
+                self.settings.chamber_lag_s,
+            )
+
+    def switch_chamber_off(self) -> None:
+        """Let the air drift back to the room."""
+        with self._lock:
+            self._chamber_demand_c = None
+            self._heat.relax_air(self.clock.now_s(), self.settings.ambient_c, self.settings.chamber_off_lag_s)
+
+    def disturb_chamber(self, offset_c: float) -> None:
+        """Put the chamber out of band: from now on its air goes to the demand and `offset_c`, °C."""
+        with self._lock:
+            self._chamber_offset_c = offset_c
+            if self._chamber_demand_c is not None:
+                self.ramp_chamber(self._chamber_demand_c)
+
+    def new_reading(self, channel: Channel) -> int:
+        """Begin a reading of a channel: draw its voltmeter error; return its number within the step.
+
+        A pose that was read with the head at rest is one that effects look back to. The order in which the
+        channels are begun is that of the scan.
+        """
+        with self._lock:
+            now_s, pose = self.clock.now_s(), self._poses[-1]
+            index, before = CHANNELS.index(channel), self._triggered.get(id(pose), ())
+            in_turn = (index,) if index in before else (*before, index)
+            self._triggered[id(pose)] = self._told_scan or in_turn
+            if now_s >= pose.turn.arrives_s:
+                if self._read and self._read[-1].pose is pose:
+                    self._read.pop()
+                self._read.append(self._visit(pose, now_s))
+            number = self.count("reading", channel)
+            generator = self.random(VOLTMETER_ERROR, channel, number)
+            self._voltmeter_error_v[channel] = self._draw(VOLTMETER_ERROR, generator)
+            return number
+
+    def recall(
+        self,
+        installation: str | None,
+        series: int,
+        scale_angle_rad: float,
+        direction: Direction | None,
+        elapsed_s: float,
+        *,
+        block_c: float | None = None,
+        input_v: float | None = None,
+        scan: tuple[int, ...] = (0, 1, 2),
+    ) -> None:
+        """Say that a setting was read before the world was set up again, for effects that look back.
+
+        Arguments are as recorded; without an installation the block was as in the last setting told. To be
+        called in the order of measurement, before anything is read.
+        """
+        with self._lock:
+            time_s = self.began_s + elapsed_s
+            pose = self._read[-1].pose if self._read else self._poses[-1]
+            if installation is not None:
+                at_rest = HeadTurn(time_s, scale_angle_rad, scale_angle_rad)
+                stand_rad = self._stand_rad(installation, series)
+                pose = Pose(time_s, installation, series, stand_rad, at_rest, 0.0, direction, scale_angle_rad)
+            known_c = self.block_c_at(time_s) if block_c is None else block_c
+            self._read.append(Visit(replace(pose, input_v=input_v), time_s, elapsed_s, known_c, scan))
+
+    # --- what is true -------------------------------------------------------------------------------
+
+    @property
+    def installation(self) -> str:
+        """The installation that is mounted."""
+        return self._poses[-1].installation
+
+    @property
+    def series(self) -> int:
+        """The series of the mounting."""
+        return self._poses[-1].series
+
+    @property
+    def scale_angle_rad(self) -> float:
+        """The angle that the head's scale shows, rad."""
+        return self._poses[-1].turn.angle_rad(self.clock.now_s())
+
+    @property
+    def head_rate_rad_s(self) -> float:
+        """How fast the motor turns the head, rad/s: zero when it stands."""
+        return self._poses[-1].turn.rate_rad_s(self.clock.now_s())
+
+    @property
+    def head_stuck(self) -> bool:
+        """Whether the head stands stuck short of where it was sent."""
+        return self._poses[-1].stuck and self.head_rate_rad_s == 0.0
+
+    @property
+    def true_angle_rad(self) -> float:
+        """The angle at which the head really stands: the scale's and alpha4, rad."""
+        pose = self._poses[-1]
+        return pose.turn.angle_rad(self.clock.now_s()) + pose.setting_error_rad
+
+    @property
+    def direction(self) -> Direction | None:
+        """The side from which the head came, None before the first turn."""
+        return self._poses[-1].direction
+
+    @property
+    def stand_rad(self) -> Floats:
+        """The stand angles of the present mounting, in the order of `STAND_ANGLES`, rad, shape (5,)."""
+        return self._poses[-1].stand_rad.copy()
+
+    @property
+    def chamber_c(self) -> float:
+        """The air in the chamber, °C."""
+        with self._lock:
+            return self._heat.air_c(self.clock.now_s())
+
+    @property
+    def block_c(self) -> float:
+        """The block, °C."""
+        return self.block_c_at(self.clock.now_s())
+
+    def block_c_at(self, time_s: float) -> float:
+        """Return the temperature of the block at a time of the clock, °C: first-order lag, in closed form."""
+        with self._lock:
+            return self._heat.block_c(time_s)
+
+    def signal_v(self, channel: Channel, time_s: float | None = None) -> float:
+        """Return the voltage at a meter's terminals now, or as it was at `time_s` of the clock, V.
+
+        It is the forward model's reading with all effects at the true angle, or what is at the inputs in its
+        place, plus the voltmeter error of the channel's present reading. A meter that hands over its samples
+        late asks for their own times.
+        """
+        at_s = self.clock.now_s() if time_s is None else time_s
+        with self._lock:
+            pose = self._poses[max(0, bisect_right(self._poses, at_s, key=lambda p: p.since_s) - 1)]
+            # Without effects the output at rest depends on the pose alone; an effect may look at time and heat.
+            at_rest = at_s >= pose.turn.arrives_s and not self.settings.model.effects
+            key = id(pose) if at_rest else (id(pose), at_s, self._scan(pose))
+            signals = self._signals.get(key)
+            if signals is None:
+                if len(self._signals) >= _CACHED_SIGNALS:
+                    self._signals.clear()
+                signals = self._signals[key] = self._model_readings(pose, at_s)
+            return float(signals[CHANNELS.index(channel)]) + self._voltmeter_error_v[channel]
+
+    def _model_readings(self, pose: Pose, time_s: float) -> Floats:
+        """Return the three signals of a pose, V, shape (3,), after the settings read before it."""
+        model, before = self.settings.model, []
+        if model.needs_history:
+            before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
+        visits = [*before, self._visit(pose, time_s)]
+        signals: Floats = readings_of(visits, model, self.settings.block)[-1]
+        return signals
+
+    def _visit(self, pose: Pose, time_s: float) -> Visit:
+        return Visit(pose, time_s, time_s - self.began_s, self.block_c_at(time_s), self._scan(pose))
+
+    def _scan(self, pose: Pose) -> tuple[int, ...]:
+        """Return the channels in the order of the scan; those that nobody triggered yet come after the others."""
+        begun = self._triggered.get(id(pose), self._told_scan)
+        return (*begun, *(index for index in range(len(CHANNELS)) if index not in begun))
+
+    def terminals(self, channel: Channel) -> Terminals:
+        """Return what a meter that is wired to `channel` sees."""
+        if channel not in CHANNELS:
+            raise ValueError(f"the block has the channels {', '.join(CHANNELS)}, not {channel!r}")
+        return Terminals(self, channel)

@@ -1,0 +1,258 @@
+"""The commands as their user types them, in an empty folder."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.model.block import COEFFICIENTS
+from bench.readings.csv import read_csv, write_csv
+from bench.run.folder import Run
+
+PAPER = [
+    -2.177087, -0.018243, 0.025027, 0.026542, -2.139892, 0.032755, 0.006754, 0.006026, -2.144367,
+    0.071469, -0.196485, -0.411789,
+]  # fmt: skip
+"""Equation (11) of the paper, V/g and V."""
+
+SILENT_STAND = {
+    "limit: 5 arcsec": "limit: 0 arcsec",
+    "limit: 90 arcsec": "limit: 0 arcsec",
+    "limit: 10 arcsec": "limit: 0 arcsec",
+    "limit: 0.3 mV": "limit: 0 mV",
+    "setting_deviation: 2 arcsec": "setting_deviation: 0 arcsec",
+    "slip_probability: 0.01": "slip_probability: 0.0",
+    "noise: yes": "noise: no",
+}
+SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
+
+
+def edited_stand(**changes):
+    """Write the shipped bench file with changes of its text; every change must apply."""
+    text = SHIPPED.read_text(encoding="utf-8")
+    for old, new in changes.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    Path("stand.yaml").write_text(text, encoding="utf-8")
+    return "stand.yaml"
+
+
+def one_line(err):
+    """The promise for every failure: one clear line, no traceback."""
+    assert "Traceback" not in err
+    lines = [line for line in err.splitlines() if not line.startswith("note:")]
+    assert len(lines) == 1, err
+    return lines[0]
+
+
+def test_a_dry_run_ends_with_coefficients_a_verdict_and_a_report(bench):
+    status, out, err = bench("run", "paper", "--dry-run", "--name", "first", "--operator", "A. Person")
+    assert (status, err) == (0, "")
+    assert "first: PASSED" in out
+    folder = Path("runs/first")
+    result = json.loads((folder / "calibrate.json").read_text())
+    value = np.array([result["coefficients"][name]["value"] for name in COEFFICIENTS])
+    u = np.array([result["coefficients"][name]["u"] for name in COEFFICIENTS])
+    assert result["estimator"] == "gls"
+    assert result["readings"] == {"used": 54, "skipped": 0}
+    assert np.all(np.abs(value - PAPER) < 5 * u)
+    assert np.all(u < 1e-4)
+    verdict = json.loads((folder / "verify.json").read_text())
+    assert verdict["passed"] is True
+    assert [round(p["angle_deg"]) for p in verdict["points"]] == [45, 135, 225, 315]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "A. Person" in page
+    assert "SIMULATED" in page
+    assert Run(folder).history.problems == ()
+
+
+def test_the_same_seed_gives_the_same_run_and_another_seed_another(bench):
+    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
+        assert bench("run", "quick", "--dry-run", "--seed", seed, "--name", name)[0] == 0
+    a, b, c = (Run(Path("runs") / name).readings() for name in "abc")
+    assert np.array_equal(a.signal, b.signal)
+    assert np.array_equal(a.time_s, b.time_s)
+    assert np.mean(a.signal == c.signal) < 0.1  # readings are rounded: a few may agree
+
+
+def test_error_free_both_estimators_return_the_paper_over_the_wire(bench):
+    """A reply carries 1e-8 V, so 5e-9 V of rounding; equation (11) to 5e-9."""
+    stand = edited_stand(**SILENT_STAND)
+    assert bench("run", "paper", "--dry-run", "--bench", stand, "--name", "exact")[0] == 0
+    for estimator in ("gls", "closed-form"):
+        status, out, _ = bench("calibrate", "exact", "--estimator", estimator, "--json", "-")
+        assert status == 0
+        found = [json.loads(out)["coefficients"][name]["value"] for name in COEFFICIENTS]
+        assert np.max(np.abs(np.array(found) - PAPER)) < 5e-9
+
+
+def test_an_altered_scale_factor_fails_the_verification(bench):
+    bench("run", "calibration", "--dry-run", "--name", "good")
+    coefficients = json.loads(Path("runs/good/calibrate.json").read_text())
+    Path("same.json").write_text(json.dumps(coefficients))
+    assert bench("verify", "good", "--coefficients", "same.json")[0] == 0
+    coefficients["coefficients"]["Kzz"]["value"] *= 1.001
+    Path("altered.json").write_text(json.dumps(coefficients))
+    status, out, _ = bench("verify", "good", "--coefficients", "altered.json", "--json", "v.json")
+    assert status == 1
+    assert "FAILED" in out
+    assert json.loads(Path("v.json").read_text())["passed"] is False
+
+
+def test_a_run_exported_calibrates_to_the_same_numbers(bench):
+    bench("run", "paper", "--dry-run", "--name", "run")
+    assert bench("export", "run", "--csv", "readings.csv")[0] == 0
+    results = []
+    for source in ("run", "readings.csv"):
+        status, out, _ = bench("calibrate", source, "--json", "-")
+        assert status == 0
+        results.append(json.loads(out))
+    for name in COEFFICIENTS:
+        ours, theirs = (r["coefficients"][name] for r in results)
+        assert ours["value"] == pytest.approx(theirs["value"], rel=1e-9, abs=1e-11)
+        assert ours["u"] == pytest.approx(theirs["u"], rel=1e-5)
+    assert Path("calibrate/readings.json").is_file()
+    assert bench("import", "readings.csv", "--name", "by-hand")[0] == 0
+    status, out, _ = bench("calibrate", "by-hand", "readings.csv", "--json", "-")
+    both = json.loads(out)
+    assert both[0]["coefficients"] == both[1]["coefficients"]
+    assert bench("report", "by-hand")[0] == 0
+    assert Path("runs/by-hand/report.html").is_file()
+
+
+def test_runs_and_show_tell_what_there_is(bench):
+    assert bench("runs")[1].startswith("runs: no runs there")
+    bench("run", "quick", "--dry-run", "--name", "one")
+    out = bench("runs")[1]
+    assert re.search(r"one .*simulated .*finished .*22", out)
+    assert bench("show", "one", "--verify")[1].rstrip().endswith("chain of hashes whole")
+    events = Path("runs/one/events.jsonl")
+    events.write_text(events.read_text().replace('"samples_taken": 5', '"samples_taken": 6', 1))
+    status, out, _ = bench("show", "one", "--verify")
+    assert status == 1
+    assert "the chain is broken" in out
+    status, _, err = bench("calibrate", "one")
+    assert status == 2
+    assert "cannot be trusted" in one_line(err)
+
+
+def test_check_prints_the_steps_and_touches_nothing(bench):
+    status, out, _ = bench("check", "calibration")
+    assert status == 0
+    assert "installation 2, pass 2, point 9" in out
+    assert list(Path().iterdir()) == []
+    summary = json.loads(bench("check", "calibration", "--json", "-")[1])
+    assert summary["counts"]["read"] == 58
+    assert summary["counts"]["turn"] == 58
+    assert summary["problems"] == []
+
+
+def test_init_writes_copies_and_never_over_a_file(bench):
+    assert bench("init")[0] == 0
+    mine = Path("procedures/paper.yaml")
+    mine.write_text(mine.read_text().replace("samples: 10", "samples: 3"))
+    assert bench("init")[0] == 0
+    assert "samples: 3" in mine.read_text()
+    assert bench("check", "procedures/paper.yaml", "--bench", "config/bench-rs232.yaml")[0] in {0, 1}
+    assert bench("run", "procedures/paper.yaml", "--dry-run", "--name", "mine")[0] == 0
+    assert set(Run(Path("runs/mine")).readings().samples) == {3}
+
+
+def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
+    Path("k2.yaml").write_text(
+        'model_file: "1"\nname: with-k2\neffects:\n'
+        "  - {name: quadratic_nonlinearity, channels: [y], parameters: {K2: 500 ug/g^2}}\n"
+    )
+    assert bench("run", "paper", "--dry-run", "--model", "k2.yaml", "--name", "k2")[0] in {0, 1}
+    without = json.loads(bench("calibrate", "k2", "--json", "-")[1])
+    assert without["residual"]["p"] < 0.01
+    assert bench("calibrate", "k2", "--strict")[0] == 1
+    with_it = json.loads(bench("calibrate", "k2", "--model", "k2.yaml", "--json", "-")[1])
+    assert with_it["residual"]["p"] > 0.01
+    assert with_it["model"] == "with-k2"
+    k2 = with_it["effects"]["quadratic_nonlinearity.K2[y]"]
+    assert abs(k2["value"] - 500) < 5 * k2["u"]
+    assert k2["unit"] == "ug/g^2"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("calibrate", "nix.csv"), "nix.csv: no such readings file"),
+        (("calibrate", "nix"), "nix: no run of that name"),
+        (("run", "paper"), "needs a bench file"),
+        (("run", "papper", "--dry-run"), "did you mean paper"),
+        (("run", "paper", "--dry-run", "--bench", "nix.yaml"), "nix.yaml"),
+        (("run", "paper", "--dry-run", "--name", "../up"), "a run's name is"),
+        (("verify", "x.csv", "--coefficients", "c.json"), "x.csv: no such readings file"),
+        (("resume",), "no unfinished run"),
+        (("frob",), "No such command"),
+        (("calibrate",), "Missing"),
+    ],
+)
+def test_every_mistake_is_one_clear_line(bench, arguments, says):
+    status, out, err = bench(*arguments)
+    assert status == 2
+    assert says in one_line(err)
+    assert out == ""
+
+
+def test_a_bad_readings_file_lists_its_rows_and_computes_nothing(bench):
+    bench("run", "paper", "--dry-run", "--name", "run")
+    bench("export", "run", "--csv", "r.csv")
+    lines = Path("r.csv").read_text().splitlines()
+    lines[3] = lines[3].replace(lines[3].split(",")[10], "9.9E37")
+    lines[7] = lines[7].replace("1,1,", "1,Q,", 1)
+    Path("bad.csv").write_text("\n".join(lines))
+    status, _, err = bench("calibrate", "bad.csv")
+    assert status == 2
+    assert "bad.csv, line 4, column ux_v: the voltmeter was overloaded" in err
+    assert "bad.csv, line 8, column installation" in err
+    assert not Path("calibrate/bad.json").exists()
+    status, out, _ = bench("calibrate", "bad.csv", "--skip-bad-rows", "--json", "-")
+    assert status == 0
+    assert json.loads(out)["readings"] == {"used": 52, "skipped": 2}
+
+
+def test_one_installation_alone_is_named_not_solved(bench):
+    bench("run", "paper", "--dry-run", "--name", "run")
+    readings = Run(Path("runs/run")).readings()
+    write_csv(readings.select(readings.installation == "1"), Path("half.csv"))
+    status, _, err = bench("calibrate", "half.csv")
+    assert status == 2
+    assert "Kxy, Kyy, Kzy" in one_line(err)
+    assert read_csv(Path("half.csv"), ["1"]).installation.tolist() == ["1"] * 27
+
+
+def test_a_file_where_nothing_can_be_written_beside_it_still_calibrates(bench, monkeypatch):
+    bench("run", "paper", "--dry-run", "--name", "run")
+    bench("export", "run", "--csv", "r.csv")
+    Path("calibrate").write_text("in the way")
+    status, _, err = bench("calibrate", "r.csv")
+    assert status == 0
+    assert "is not written" in err
+    assert bench("calibrate", "r.csv", "--out", "calibrate")[0] == 2
+
+
+def test_check_opens_the_instruments_only_when_asked(bench):
+    """The shipped bench has its meters on a GPIB board, which a machine without one says at once."""
+    assert bench("check", "quick")[0] == 0
+    status, out, err = bench("check", "quick", "--instruments", "--bench", "paper-stand")
+    assert status == 2
+    assert "no mistakes found" in out
+    assert all(f"voltmeter.{channel}" in err for channel in "xyz")
+    assert "Traceback" not in err
+
+
+def test_run_and_report_give_json_on_standard_output_alone(bench):
+    status, out, err = bench("run", "quick", "--dry-run", "--name", "j", "--json", "-")
+    assert status == 0
+    told = json.loads(out)
+    assert told["run"] == "j"
+    assert told["verification"]["passed"] is True
+    assert told["calibration"]["order"][0] == "Kxx"
+    assert "PASSED" in err  # what a person reads goes beside it
+    told = json.loads(bench("report", "j", "--json", "-")[1])
+    assert Path(told["report"]).is_file()

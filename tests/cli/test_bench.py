@@ -1,0 +1,211 @@
+"""A run as on a real bench: bench file with addresses, a person who types, instruments that fail."""
+
+import io
+import re
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.cli.app import main
+from bench.files.bench.file import load_bench
+from bench.model import ForwardModel
+from bench.run.folder import Run
+from sim.bench import SimulatedBench, SimulatedMeter
+from sim.wires.session import WireFault
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings
+
+SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
+PROCEDURE = """\
+procedure: short
+title: Two points
+reading: {samples: 2, nplc: 1, settle: 0 s}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - turn: {angles: [0 deg, 90 deg]}
+"""
+ANSWERS = "yes\n23.0\n0 0 2\n89 59 58\n"
+"""Mounted; temperature; the two angles read."""
+
+
+@pytest.fixture
+def served(tmp_path, monkeypatch):
+    """A folder with a procedure and a bench file whose meters are simulated ones on loopback."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    Path("short.yaml").write_text(PROCEDURE)
+    bench = load_bench(SHIPPED)
+    model = ForwardModel(bench.installation_models())
+    world = World(WorldSettings(bench.simulated_block(), model, {}, seed=1), VirtualClock())
+    meters = {f"voltmeter.{c}": SimulatedMeter(c, interface="gpib") for c in "xyz"}
+    with SimulatedBench(world, meters) as simulated:
+        write_bench_file(list(simulated.resources.values()))
+        yield simulated
+
+
+def write_bench_file(resources):
+    text = SHIPPED.read_text(encoding="utf-8")
+    for address, resource in zip((22, 23, 24), resources, strict=True):
+        text = text.replace(f'"GPIB0::{address}::INSTR"', f'"{resource}"')
+    text = text.replace("range: 10 V}", "range: 10 V, timeout: 0.3 s}")
+    Path("bench.yaml").write_text(text, encoding="utf-8")
+
+
+def command(capsys, *arguments, answers=ANSWERS):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.stdin", io.StringIO(answers))
+        with pytest.raises(SystemExit) as exit_:
+            main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    assert "Traceback" not in err
+    return exit_.value.code, out, err
+
+
+def start(capsys, answers=ANSWERS, name="run"):
+    return command(capsys, "run", "short.yaml", "--bench", "bench.yaml", "--name", name, answers=answers)
+
+
+def test_typed_answers_make_readings(served, capsys):
+    status, out, err = start(capsys)
+    # two points of one installation do not make a calibration: the run is done all the same
+    assert (status, err) == (0, "")
+    assert "no calibration from it: 2 readings do not determine" in out
+    readings = Run(Path("runs/run")).readings()
+    assert np.degrees(readings.angle_rad) == pytest.approx([2 / 3600, 90 - 2 / 3600], abs=1e-9)
+    assert readings.temperature_c.tolist() == [23.0, 23.0]
+    assert "Mount the block in installation 1" in out
+    assert "0°00′00″" in out
+
+
+def test_a_slip_is_asked_again(served, capsys):
+    _, out, _ = start(capsys, answers="yes\n23\n1 0 2\n0 0 2\n90 10 1\n90 0 1\n")
+    assert len(re.findall(r"probably\s+the", out)) == 2
+    degrees = np.degrees(Run(Path("runs/run")).readings().angle_rad)
+    assert degrees == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)
+
+
+def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, capsys):
+    status, _, err = start(capsys, answers="yes\n23\n0 0 2\n")
+    assert status == 2
+    assert "the answers ended at the question" in err
+    assert "1 readings are kept" in err
+    assert len(Run(Path("runs/run")).readings()) == 1
+    assert "interrupted" not in command(capsys, "runs")[1]
+    assert command(capsys, "resume", "run", answers="untouched\n89 59 58\n")[0] == 0
+    run = Run(Path("runs/run"))
+    assert run.history.state == "finished"
+    assert run.readings().point.tolist() == [1, 2]
+
+
+def test_a_bench_file_changed_since_is_told_and_asked_about(served, capsys):
+    start(capsys, answers="yes\n23\n0 0 2\n")
+    Path("bench.yaml").write_text(
+        Path("bench.yaml").read_text().replace("limit: 5 arcsec", "limit: 50 arcsec")
+    )
+    status, out, err = command(capsys, "resume", "run", answers="no\n")
+    assert status == 2
+    assert "bench.yaml was changed since the run began" in out
+    assert "answered no" in err
+    assert command(capsys, "resume", "run", answers="yes\nuntouched\n89 59 58\n")[0] == 0
+    assert Run(Path("runs/run")).history.state == "finished"
+
+
+def test_an_absent_meter_is_one_sentence(served, capsys):
+    resources = list(served.resources.values())
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        free = listener.getsockname()[1]
+    write_bench_file([*resources[:2], f"TCPIP0::127.0.0.1::{free}::SOCKET"])
+    status, _, err = start(capsys)
+    assert status == 2
+    assert "voltmeter.z" in err
+    assert "refused" in err
+    assert Run(Path("runs/run")).history.problems == ()
+
+
+def test_all_absent_meters_are_named_at_once(served, capsys):
+    for server in served.servers.values():
+        server.stop()
+    status, _, err = start(capsys)
+    assert status == 2
+    assert all(f"voltmeter.{c}" in err for c in "xyz")
+
+
+def cut(request, reply):
+    return WireFault.cut(reply, 9) if reply and request.startswith(b"FETC") else None
+
+
+def drop(request, reply):
+    return WireFault(drop=True) if request.startswith(b"FETC") else None
+
+
+def overload(request, reply):
+    return WireFault(raw=b"+9.90000000E+37,+9.90000000E+37\n") if request.startswith(b"FETC") else None
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"), [(cut, "voltmeter.y"), (drop, "voltmeter.y"), (overload, "overload")]
+)
+def test_a_fault_on_the_wire_stops_with_the_record_whole_and_is_repaired_by_resume(
+    served, capsys, fault, says
+):
+    served.servers["voltmeter.y"].fault = fault
+    status, _, err = start(capsys)
+    assert status == 2
+    assert says in err.lower()
+    assert "voltmeter.y" in err
+    run = Run(Path("runs/run"))
+    assert run.history.problems == ()
+    assert run.history.state == "failed"
+    assert not any("reading" in e.data for e in run.history.events)
+    served.servers["voltmeter.y"].fault = None
+    command(capsys, "resume", "run", answers="\n0 0 2\n89 59 58\n")
+    run = Run(Path("runs/run"))
+    assert run.history.state == "finished"
+    assert run.readings().point.tolist() == [1, 2]
+
+
+def test_gpib_without_a_board_is_one_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("short.yaml").write_text(PROCEDURE)
+    status, _, err = command(capsys, "run", "short.yaml", "--bench", SHIPPED)
+    assert status == 2
+    assert "GPIB" in err
+
+
+def test_interrupted_anywhere_a_dry_run_resumes_to_the_undisturbed_readings(tmp_path, monkeypatch, capsys):
+    """Reading for reading: the world's random numbers belong to the step, bench time goes on."""
+    monkeypatch.chdir(tmp_path)
+    command(capsys, "run", "quick", "--dry-run", "--name", "whole", "--seed", 5)
+    whole = Run(Path("runs/whole")).readings()
+    for moment, event in enumerate((5, 12, 13, 14, 40, 66)):
+        name = f"cut{moment}"
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("bench.run.runner.Runner._emit", _interrupt_at(event))
+            status, _, err = command(capsys, "run", "quick", "--dry-run", "--name", name, "--seed", 5)
+        assert status == 2
+        assert f"bench resume {name}" in err
+        assert command(capsys, "resume", name)[0] == 0
+        resumed = Run(Path("runs") / name).readings()
+        assert np.array_equal(resumed.signal, whole.signal)
+        assert np.array_equal(resumed.angle_rad, whole.angle_rad)
+        assert np.array_equal(resumed.time_s, whole.time_s)
+
+
+def _interrupt_at(event):
+    """A runner's `_emit` that is hit by Ctrl-C right after it wrote the n-th event, once."""
+    from bench.run.runner import Runner
+
+    original = Runner._emit
+    left = [event]
+
+    def emit(self, kind, **data):
+        original(self, kind, **data)
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+
+    return emit

@@ -1,0 +1,255 @@
+"""`bench budget` and the decision rule of `bench verify`, as their user types them."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.analysis.budget import make_budget
+from bench.analysis.calibration import CalibrationError, verify
+from bench.analysis.calibration.verification import acceptance_limit
+from bench.model import Block
+from bench.readings.csv import write_csv
+from bench.readings.table import make_readings
+from tests.cli.test_app import edited_stand, one_line
+from tests.support.budget_bench import COEFFICIENTS, paper_setup, stand
+from tests.support.paper_bench import U0, K, simulate, specific_force
+
+ONE_SIGMA = {
+    "limit: 5 arcsec, distribution: normal, k: 3": "limit: 5 arcsec, distribution: normal, k: 1",
+    "limit: 90 arcsec, distribution: normal, k: 3": "limit: 90 arcsec, distribution: normal, k: 1",
+    "limit: 10 arcsec, distribution: normal, k: 3": "limit: 10 arcsec, distribution: normal, k: 1",
+    "limit: 0.3 mV, distribution: normal, k: 3": "limit: 0.3 mV, distribution: normal, k: 1",
+}
+
+
+def result_of(bench, *arguments, status=0):
+    code, out, err = bench("budget", *arguments, "--json", "-")
+    assert (code, err) == (status, "")
+    return json.loads(out)
+
+
+def test_the_table_of_the_paper_from_a_bench_file(bench):
+    """The same numbers as from the parts themselves, through file, procedure and JSON."""
+    file = edited_stand(**ONE_SIGMA)
+    for estimator in ("gls", "closed-form", "ols"):
+        arguments = ("--bench", file, "--procedure", "paper", "--estimator", estimator, "--trials", 0)
+        told = result_of(bench, *arguments)
+        expected = make_budget(paper_setup(), stand(), estimator)
+        np.testing.assert_allclose(told["groups"]["stand"]["covariance"], expected.combined.covariance, rtol=1e-6,
+                                   atol=1e-18)  # fmt: skip
+        for contribution in expected.contributions:
+            found = told["sources"][contribution.source.name]["contribution_u"]
+            np.testing.assert_allclose(found, contribution.u, rtol=1e-6, atol=1e-12)
+        assert told["order"] == COEFFICIENTS
+        assert told["monte_carlo"] is None
+
+
+def test_json_adds_up(bench):
+    told = result_of(bench, "--trials", 2500)
+    total = sum(np.array(source["covariance"]) for source in told["sources"].values())
+    np.testing.assert_allclose(told["covariance"], total, rtol=1e-9, atol=1e-24)
+    for i, name in enumerate(COEFFICIENTS):
+        one = told["coefficients"][name]
+        assert one["u"] == pytest.approx(np.sqrt(total[i, i]))
+        assert one["U"] == pytest.approx(one["k"] * one["u"])
+        assert one["u"] ** 2 == pytest.approx(sum(u**2 for u in one["by_source"].values()))
+    without_g = total - np.array(told["sources"]["gravity"]["covariance"])
+    np.testing.assert_allclose(told["per_local_g"]["u"], np.sqrt(np.diag(without_g)), rtol=1e-6)
+    assert [row["magnitude_g"] for row in told["acceleration"]["magnitudes"]] == [1, 2, 5, 10]
+    assert told["verification"]["capable"] is True
+    assert len(told["verification"]["points"]) == 4
+    assert told["monte_carlo"]["trials"] == 2500
+    assert len(told["monte_carlo"]["outputs"]) == 16
+
+
+def test_printed_for_a_person(bench):
+    code, out, err = bench("budget", "--trials", 2500)
+    assert (code, err) == (0, "")
+    for told in (
+        "mounting_error",
+        "combined u",
+        "U (k = 2.00, 95.45 %)",
+        "10 g",
+        "simple acceptance",
+        "clause 8",
+    ):
+        assert told in out
+    assert re.search(r"from 5 g on K2 and K3 dominate \(9\d % of the variance", out)
+    assert max(len(line) for line in out.splitlines() if not line.startswith("note")) <= 150
+
+
+def test_a_page_with_figures(bench):
+    code, _, _ = bench("budget", "--trials", 2500, "--out", "page")
+    assert code == 0
+    page = Path("page/budget.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 2
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert "The check can be passed" in page
+    assert {f.name for f in Path("page").iterdir()} == {
+        "budget.html", "budget-coefficients.svg", "budget-coefficients.png", "budget-acceleration.svg",
+        "budget-acceleration.png",
+    }  # fmt: skip
+    assert Path("page/budget-coefficients.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_rule_decides_the_exit_status_where_one_is_asked_for(bench):
+    file = edited_stand(**ONE_SIGMA)
+    simple = ("--bench", file, "--trials", 0, "--limit", 2e-4)
+    assert result_of(bench, *simple)["verification"]["capable"] is False
+    assert (
+        result_of(bench, *simple, "--rule", "simple", status=1)["verification"]["rule"] == "simple acceptance"
+    )
+    assert result_of(bench, *simple, "--rule", "guarded", status=1)["verification"]["rule"] == "guarded"
+    assert result_of(bench, "--trials", 0, "--rule", "guarded")["verification"]["capable"] is True
+
+
+def test_a_model_file_adds_its_effects(bench):
+    Path("model.yaml").write_text(
+        "model_file: 1\nname: found\neffects:\n  - name: quadratic_nonlinearity\n    channels: [x]\n"
+        "    parameters: {K2: {x: {value: 60 ug/g^2, u: 4 ug/g^2}}}\n",
+        encoding="utf-8",
+    )
+    told = result_of(bench, "--trials", 0, "--model", "model.yaml", "--estimator", "least-squares")
+    source = told["sources"]["quadratic_nonlinearity.K2[x]"]
+    assert source["shown"] == "4 ug/g^2"
+    assert source["u"] == pytest.approx(4e-6)
+    assert source["contribution_u"][COEFFICIENTS.index("U0x")] > 0
+    prior = told["sources"]["K2"]["contribution_u"]
+    assert prior[COEFFICIENTS.index("U0x")] == pytest.approx(0.0, abs=1e-15)
+    assert prior[COEFFICIENTS.index("U0y")] > 1e-6
+
+
+def test_coefficients_of_a_calibration_take_the_place_of_the_bench_files(bench):
+    write_csv(simulate(np.random.default_rng(1), 1e-4), Path("unit.csv"))
+    assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
+    told = result_of(bench, "--trials", 0, "--coefficients", "unit.json")
+    assert told["about"] == "unit.json"
+    calibrated = json.loads(Path("unit.json").read_text())["coefficients"]
+    assert told["coefficients"]["Kyy"]["value"] == calibrated["Kyy"]["value"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--estimator", "kalman"), "no estimator 'kalman'"),
+        (("--rule", "lenient"), "no decision rule 'lenient'"),
+        (("--limit", "-1"), "a limit is a positive number of g"),
+        (("--trials", "10"), "--trials: 10 trials are too few"),
+        (("--g", "98"), "local gravity lies between"),
+        (("--procedure", "turn-12", "--estimator", "closed-form"), "the closed form (8)"),
+        (("--procedure", "stability"), "do"),
+        (("--procedure", "nothing.yaml"), "nothing.yaml"),
+        (("--json", "no/such/folder.json"), "no such folder"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(bench, arguments, told):
+    code, out, err = bench("budget", *arguments)
+    assert code == 2
+    assert out == ""
+    assert told in one_line(err)
+
+
+def test_a_singular_block_has_no_budget(bench):
+    write_csv(simulate(np.random.default_rng(1), 1e-4), Path("unit.csv"))
+    assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
+    result = json.loads(Path("unit.json").read_text())
+    for name in "Kyx", "Kyy", "Kyz":
+        result["coefficients"][name] = result["coefficients"]["Kx" + name[2]]
+    Path("unit.json").write_text(json.dumps(result))
+    code, out, err = bench("budget", "--coefficients", "unit.json", "--trials", 0)
+    assert (code, out) == (2, "")
+    assert "unit.json: K is singular: channels x and y answer alike" in one_line(err)
+
+
+def test_a_procedure_of_several_temperatures_says_what_its_budget_takes_for_granted(bench):
+    told = result_of(bench, "--procedure", "temperature", "--trials", 0)
+    assert any("5 temperatures, and the coefficients are taken as the same" in note for note in told["notes"])
+    assert not any("temperatures," in note for note in result_of(bench, "--trials", 0)["notes"])
+
+
+def test_a_model_without_sizes_has_plausible_ones_and_leaves_the_priors_of_the_other_channels(bench):
+    """K3 of x from the model, of y and z as before: alike in use, for the sizes are alike."""
+    Path("model.yaml").write_text(
+        "model_file: 1\nname: cubic\neffects:\n  - name: cubic_nonlinearity\n    channels: [x]\n"
+        "    parameters: {K3: {x: 0 ug/g^3}}\n",
+        encoding="utf-8",
+    )
+    asked = ("--trials", 0, "--procedure", "paper", "--estimator", "closed-form")
+    plain, told = result_of(bench, *asked), result_of(bench, *asked, "--model", "model.yaml")
+    assert told["sources"]["cubic_nonlinearity.K3[x]"]["u"] == pytest.approx(20e-6)
+    # the effect is taken off on the way to the closed form, at the value of the file: its error is the prior's
+    for before, after in zip(*(r["acceleration"]["magnitudes"] for r in (plain, told)), strict=True):
+        assert after["u_modulus_mean"] == pytest.approx(before["u_modulus_mean"], rel=1e-6)
+    of_x, of_y = (told["sources"]["K3"]["contribution_u"][i] for i in (0, 4))
+    assert of_x == 0.0
+    assert of_y == pytest.approx(plain["sources"]["K3"]["contribution_u"][4], rel=1e-6)
+    assert any("cubic_nonlinearity.K3[x]" in note and "dominate" in note for note in told["notes"])
+
+
+def test_robust_counts_as_generalised_least_squares(bench):
+    assert result_of(bench, "--trials", 0, "--estimator", "robust")["estimator"] == "gls"
+
+
+def test_a_bench_without_gravity_is_told(bench):
+    file = edited_stand(**{"gravity: {latitude: 50.449 deg, height: 180 m}": "# none"})
+    code, _, err = bench("budget", "--bench", file)
+    assert code == 2
+    assert "say --g 9.81" in one_line(err)
+    assert result_of(bench, "--bench", file, "--g", "9.8105", "--trials", 0)["g_m_s2"] == 9.8105
+
+
+# --- bench verify --rule ----------------------------------------------------------------------------
+
+THETA = np.radians([45.0, 135.0, 225.0, 315.0])
+
+
+def check_readings(offset_v=0.0):
+    signal = specific_force(["V"] * 4, THETA, psi=np.radians(45.0)) @ K.T + U0
+    signal[1, 2] += offset_v
+    return make_readings(["V"] * 4, [1] * 4, [1, 2, 3, 4], THETA, signal)
+
+
+def test_the_guard_band_is_two_u():
+    """A point inside the limit fails when |delta g| + 2u is outside; the same point passes simply."""
+    readings, block, limit = check_readings(1e-4), Block(K, U0), 1e-4
+    simple = verify(readings, block, np.zeros((12, 12)), 1e-4, limit)
+    guarded = verify(readings, block, np.zeros((12, 12)), 1e-4, limit, rule="guarded")
+    assert [p.passed for p in simple.points] == [True] * 4
+    for point in guarded.points:
+        assert point.accepted_up_to == pytest.approx(limit - 2 * point.u)
+        assert point.passed is bool(abs(point.delta_g) <= limit - 2 * point.u)
+    assert [p.passed for p in guarded.points] == [True, False, True, True]
+    assert guarded.to_json()["rule"] == "guarded"
+    assert not guarded.passed
+
+
+def test_a_guard_band_wider_than_the_limit_accepts_nothing():
+    result = verify(check_readings(), Block(K, U0), np.zeros((12, 12)), 1e-3, 3e-4, rule="guarded")
+    assert all(p.accepted_up_to < 0 and not p.passed for p in result.points)
+    assert acceptance_limit(3e-4, 1e-3, "simple acceptance") == 3e-4
+    with pytest.raises(CalibrationError, match="there are simple acceptance, guarded"):
+        acceptance_limit(3e-4, 1e-4, "strict")
+
+
+def test_verify_takes_the_rule(bench):
+    calibration, check = simulate(np.random.default_rng(2), 1e-4), check_readings(4e-4)
+    write_csv(calibration, Path("unit.csv"))
+    write_csv(check, Path("check.csv"))
+    assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
+    arguments = ("verify", "check.csv", "--coefficients", "unit.json", "--limit", "2e-4", "--json", "-")
+    status, out, _ = bench(*arguments)
+    assert (status, json.loads(out)["rule"]) == (0, "simple acceptance")
+    status, out, _ = bench(*arguments, "--rule", "guarded")
+    told = json.loads(out)
+    assert (status, told["rule"], told["passed"]) == (1, "guarded", False)
+    status, out, _ = bench(*arguments[:-2], "--rule", "guarded")
+    assert status == 1
+    assert "in the guard band" in out
+    assert "rule: guarded (U, k = 2, taken off the limit)" in out
+    assert "accepted up to" in out
+    status, _, err = bench(*arguments, "--rule", "kind")
+    assert status == 2
+    assert "no decision rule 'kind'" in one_line(err)

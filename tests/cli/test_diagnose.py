@@ -1,0 +1,220 @@
+"""`bench diagnose` as its user types it: find, add, show, and what the next command makes of the model."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.files.model import load_model
+from bench.readings.csv import write_csv
+from tests.support.diagnosis_bench import paper_run
+
+BOTH_WAYS = (1, -1, 1)
+HIDDEN = """\
+model_file: 1
+name: hidden
+effects:
+  - {name: bias_drift, channels: [y], parameters: {rate: 250 ug/h}}
+"""
+
+
+@pytest.fixture(scope="module")
+def caches(tmp_path_factory):
+    return tmp_path_factory.mktemp("caches")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch, caches):
+    """Thresholds are kept from test to test, and not among those of the user."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
+
+
+def measured(name, seed, **hidden):
+    """Write a readings file of the independent simulation in support/paper_bench.py."""
+    write_csv(paper_run(np.random.default_rng(seed), directions=BOTH_WAYS, **hidden), Path(name))
+    return name
+
+
+def refuse(constant):
+    raise AssertionError(f"{constant} in JSON")
+
+
+def result_of(path):
+    return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench):
+    Path("hidden.yaml").write_text(HIDDEN, encoding="utf-8")
+    run = bench("run", "calibration", "--dry-run", "--model", "hidden.yaml", "--name", "a", "--seed", 5)
+    assert run[0] == 0
+    status, out, err = bench("diagnose", "a", "--json", "a.json")
+    assert (status, err) == (0, "")
+    found = result_of("a.json")
+    assert found["verdict"] == "named"
+    (effect,) = found["effects"]
+    assert (effect["name"], effect["channels"]) == ("bias_drift", ["y"])
+    rate = effect["parameters"]["rate"]["y"]
+    assert abs(rate["value"] - 250) < 4 * rate["u"]
+    assert "Found: bias_drift of y" in out
+    # the gap closes on readings that were not used, and the simulated bench is like the real one
+    assert found["gap"]["before"] > 2
+    assert abs(found["gap"]["after"] - 1) < 0.25
+    assert found["simulation"]["before"]["p"] < 1e-4
+    assert found["simulation"]["after"]["p"] > 0.01
+    model = load_model(Path(found["model"]))
+    assert found["model"] == str(Path("runs/a/diagnose-model.yaml"))
+    assert (model.parent, [e.name for e in model.effects]) == ("paper", ["bias_drift"])
+    status, out, _ = bench("calibrate", "a", "--model", found["model"], "--strict", "--json", "after.json")
+    assert status == 0
+    assert "estimated anew" in out
+    assert result_of("after.json")["residual"]["p"] > 0.01
+    page = Path(found["report"]).read_text(encoding="utf-8")
+    assert "bias_drift" in page
+    assert "SIMULATED" in page
+
+
+def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
+    status, out, _ = bench(
+        "diagnose", measured("null.csv", 3), "--strict", "--no-report", "--json", "null.json"
+    )
+    found = result_of("null.json")
+    assert (status, found["verdict"], found["effects"], found["model"]) == (0, "agrees", [], None)
+    assert "NOTHING FOUND" in out
+    assert "quadratic_nonlinearity" in out  # the smallest size that would have shown
+    assert "voltmeter_gain" in found["hidden"]
+    assert found["simulation"]["after"] is None
+
+
+def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench):
+    first = measured("first.csv", 4, K2=(0, 100e-6, 0))
+    assert bench("diagnose", first, "--no-report")[0] == 0
+    written = Path("diagnose/first-model.yaml").read_bytes()
+    assert bench("diagnose", first, "--no-report", "--strict")[0] == 1
+    assert Path("diagnose/first-model.yaml").read_bytes() == written
+    written = sorted(path.name for path in Path("diagnose").glob("*-model*.yaml"))
+    assert written == ["first-model-2.yaml", "first-model.yaml"]
+    model = Path("diagnose/first-model.yaml")
+    # on the next day the value of the first is known, with its u: the two together know it better
+    second = measured("second.csv", 5, K2=(0, 100e-6, 0))
+    u = {}
+    for name in (first, second):
+        status, out, _ = bench("calibrate", name, "--model", model, "--strict", "--json", "c.json")
+        assert status == 0
+        assert ("estimated anew" in out) is (name == first)
+        told = result_of("c.json")["effects"]["quadratic_nonlinearity.K2[y]"]
+        assert abs(told["value"] - 100) < 4 * told["u"]
+        u[name] = told["u"]
+    assert u[second] / u[first] == pytest.approx(1 / np.sqrt(2), rel=0.2)
+
+
+def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(bench):
+    first = measured("first.csv", 4, K2=(0, 100e-6, 0))
+    assert bench("diagnose", first, "--no-report")[0] == 0
+    parent = load_model(Path("diagnose/first-model.yaml"))
+    second = measured("second.csv", 5, K2=(0, 100e-6, 0), drift_v_per_h=(3e-4, 0, 0))
+    model = "diagnose/first-model.yaml"
+    assert bench("diagnose", second, "--model", model, "--no-report", "--json", "d.json")[0] == 0
+    found = result_of("d.json")
+    assert [e["name"] for e in found["effects"]] == ["bias_drift"]
+    child = load_model(Path(found["model"]))
+    assert [e.name for e in child.effects] == ["quadratic_nonlinearity", "bias_drift"]
+    assert child.parent == parent.name
+    k2 = child.applied_effects()[0]
+    assert abs(k2.values["K2"][1] - 100e-6) < 4 * k2.u["K2"][1]
+    assert k2.u["K2"][1] < parent.applied_effects()[0].u["K2"][1]
+    # both days have given something to it: neither may be taken as new to it
+    for name in (first, second):
+        assert "estimated anew" in bench("calibrate", name, "--model", found["model"])[1]
+
+
+def test_what_the_data_cannot_tell_is_added_only_when_asked(bench):
+    # no input was shorted: the zero of the voltmeters drifts, or the biases of all three channels alike
+    measured("tie.csv", 7, drift_v_per_h=(1e-4, 1e-4, 1e-4))
+    assert bench("diagnose", "tie.csv", "--no-report", "--json", "d.json")[0] == 0
+    found = result_of("d.json")
+    assert found["verdict"] == "confounded"
+    (effect,) = found["effects"]
+    assert {effect["name"], *effect["cannot_tell_from"]} >= {"voltmeter_drift", "bias_drift"}
+    assert found["model"] is None
+    assert bench("diagnose", "tie.csv", "--no-report", "--accept-first", "--json", "d.json")[0] == 0
+    model = load_model(Path(result_of("d.json")["model"]))
+    assert [e.name for e in model.effects] == [effect["name"]]
+    assert "cannot tell" in " ".join(model.evidence.values())
+
+
+def test_several_sources_keep_their_order(bench):
+    names = [measured("b.csv", 3), measured("a.csv", 5, K2=(0, 100e-6, 0)), measured("c.csv", 8)]
+    assert bench("diagnose", *names, "--json", "all.json")[0] == 0
+    found = result_of("all.json")
+    assert [f["source"] for f in found] == names
+    assert [f["verdict"] for f in found] == ["agrees", "named", "agrees"]
+    assert [f["report"] for f in found] == [None] * 3
+
+
+def test_together_they_are_one_body_of_data(bench):
+    names = [measured(f"{seed}.csv", seed, K2=(0, 60e-6, 0)) for seed in (4, 5)]
+    assert bench("diagnose", *names, "--together", "--no-report", "--json", "d.json")[0] == 0
+    found = result_of("d.json")
+    assert [e["name"] for e in found["effects"]] == ["quadratic_nonlinearity"]
+    k2 = found["effects"][0]["parameters"]["K2"]["y"]
+    assert abs(k2["value"] - 60) < 4 * k2["u"]
+    assert found["source"] == "4.csv + 5.csv"
+    assert any("series 2" in note for note in found["notes"])
+    model = load_model(Path(found["model"]))
+    assert len((model.data_sha256 or "").split()) == 2
+    assert "estimated anew" in bench("calibrate", names[1], "--model", found["model"])[1]
+
+
+def test_a_mistake_is_put_right_in_a_copy_alone(bench):
+    right = paper_run(np.random.default_rng(3), directions=BOTH_WAYS)
+    write_csv(replace(right, signal=right.signal[:, [1, 0, 2]]), Path("swapped.csv"))
+    before = Path("swapped.csv").read_bytes()
+    status, out, _ = bench("diagnose", "swapped.csv", "--strict", "--no-report", "--json", "d.json")
+    found = result_of("d.json")
+    assert (status, found["verdict"], found["model"]) == (1, "mistake", None)
+    assert found["effects"][0]["name"] == "swapped_channels"
+    assert "Mistake: swapped_channels" in out
+    assert Path("swapped.csv").read_bytes() == before
+    # what follows is from the corrected copy
+    assert found["simulation"]["before"]["p"] > 0.01
+
+
+def test_json_alone_goes_to_standard_output(bench):
+    status, out, _ = bench("diagnose", measured("null.csv", 3), "--no-report", "--json", "-")
+    assert (status, json.loads(out, parse_constant=refuse)["verdict"]) == (0, "agrees")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["none.csv"], "none.csv: no such readings file"),
+        (["null.csv", "--json", "nowhere/d.json"], "there is no such folder"),
+        (["null.csv", "--model", "null.csv"], "null.csv"),
+        (["null.csv", "counts.csv", "--together"], "different units"),
+        (["null.csv", "null.csv"], "two sources would write"),
+        (["short.csv"], "short.csv, line 1: column"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, told):
+    measured("null.csv", 3)
+    text = Path("null.csv").read_text(encoding="utf-8")
+    Path("counts.csv").write_text(text.replace("_v", "_counts"), encoding="utf-8")
+    Path("short.csv").write_text("installation,pass\n1,1\n", encoding="utf-8")
+    status, _, err = bench("diagnose", *arguments)
+    assert status == 2
+    assert told in err
+    assert "Traceback" not in err
+
+
+def test_a_folder_that_cannot_be_made_costs_the_files_and_not_the_result(bench):
+    Path("diagnose").write_text("a file where the folder would be", encoding="utf-8")
+    name = measured("k2.csv", 4, K2=(0, 100e-6, 0))
+    status, _, err = bench("diagnose", name, "--no-report", "--json", "d.json")
+    found = result_of("d.json")
+    assert (status, found["verdict"], found["model"]) == (0, "named", None)
+    assert "use --out DIR" in err
+    status, _, err = bench("diagnose", name, "--no-report", "--out", "diagnose")
+    assert status == 2
+    assert "diagnose" in err

@@ -1,0 +1,303 @@
+"""`bench instruments`: every instrument at once, all failures together; and what interfaces offer."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.assembly.served import dry_bench
+from bench.cli import instruments as command
+from bench.cli.app import main
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench
+from bench.model import ForwardModel
+from drivers.clock import SystemClock
+from drivers.interfaces import Identity, InstrumentLost, SelfTesting
+from drivers.wire.discovery import SOCKETS, SerialPort, discover
+from sim.agilent_34401a.meter import Agilent34401A
+from sim.bench import SimulatedBench, SimulatedMeter
+from sim.wires.faults import Fault, FaultKind
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings
+
+SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
+METERS = [f"voltmeter.{c}" for c in "xyz"]
+Bench = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulatedBench]:
+    """A folder with a bench file whose meters are simulated ones on loopback, and no noise."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    bench = load_bench(SHIPPED)
+    model = ForwardModel(bench.installation_models())
+    world = World(WorldSettings(bench.simulated_block(), model, {}, seed=1), VirtualClock())
+    meters = {f"voltmeter.{c}": SimulatedMeter(c, interface="gpib", noise=False) for c in "xyz"}
+    with SimulatedBench(world, meters) as simulated:
+        write_bench_file(simulated.resources)
+        yield simulated
+
+
+def write_bench_file(resources: dict[str, str]) -> None:
+    text = SHIPPED.read_text(encoding="utf-8")
+    for address, name in zip((22, 23, 24), METERS, strict=True):
+        text = text.replace(f'"GPIB0::{address}::INSTR"', f'"{resources[name]}"')
+    text = text.replace("range: 10 V}", "range: 10 V, timeout: 0.3 s}")
+    Path("bench.yaml").write_text(text, encoding="utf-8")
+
+
+@pytest.fixture
+def bench(capsys: pytest.CaptureFixture[str]) -> Bench:
+    def call(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["instruments", *map(str, arguments)])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err
+        assert "unexpected" not in err
+        return int(str(ended.value.code)), out, err
+
+    return call
+
+
+def test_a_bench_that_is_well(served: SimulatedBench, bench: Bench) -> None:
+    status, out, err = bench("--bench", "bench.yaml")
+    assert (status, err) == (0, "")
+    assert "5 of 5 instruments are well" in out
+    lines = {line.split()[0]: line for line in out.splitlines()}
+    true_v = served.world.signal_v("y")
+    for part in (served.resources["voltmeter.y"], "HEWLETT-PACKARD 34401A", "10 V, 1 NPLC", "passed"):
+        assert part in lines["voltmeter.y"]
+    assert f"y {true_v:+.6f} V" in lines["voltmeter.y"]
+    assert "by hand" in lines["head"]
+    assert "manual" in lines["chamber"]
+    assert "-60 to 100 °C" in lines["chamber"]
+
+
+def test_json_holds_what_the_table_shows(served: SimulatedBench, bench: Bench) -> None:
+    status, out, _ = bench("--bench", "bench.yaml", "--json", "-")
+    assert status == 0
+    result = json.loads(out)
+    assert result["passed"] is True
+    by_name = {row["name"]: row for row in result["instruments"]}
+    assert list(by_name) == [*METERS, "head", "chamber"]
+    for channel in "xyz":
+        row = by_name[f"voltmeter.{channel}"]
+        assert row["value"] == {channel: pytest.approx(served.world.signal_v(channel), abs=1e-7)}
+        assert row["identity"]["model"] == "34401A"
+        assert (row["self_test"], row["failures"]) == ("passed", [])
+    assert by_name["head"]["self_test"] == "manual"
+    assert bench("--bench", "bench.yaml", "--json", "result.json")[0] == 0
+    assert json.loads(Path("result.json").read_text(encoding="utf-8")) == result
+
+
+def test_all_failures_stand_together_and_the_rest_is_shown(served: SimulatedBench, bench: Bench) -> None:
+    served.arm(Fault(FaultKind.HANG, at=1, instrument="voltmeter.x"))
+    served.servers["voltmeter.z"].stop()
+    status, out, err = bench("--bench", "bench.yaml")
+    assert status == 2
+    silent, refused = err.splitlines()
+    assert silent.startswith("bench: voltmeter.x: ")
+    assert "did not answer *IDN? within 0.3 s; check that it is on" in silent
+    assert refused.startswith("bench: voltmeter.z: ")
+    assert "refused the connection" in refused
+    assert out.count("NOT OPENED") == 2
+    assert "3 of 5 instruments are well" in out
+    assert "passed" in out
+
+
+def test_slow_meters_are_waited_for_side_by_side(served: SimulatedBench, bench: Bench) -> None:
+    """Three meters that answer nothing cost one timeout, as they are opened at once."""
+    open_now: set[str] = set()
+    together: list[int] = []
+    for name, wired in served.wired.items():
+
+        def hook(message: bytes, reply: bytes | None, name: str = name) -> None:
+            open_now.add(name)
+            give_up = time.monotonic() + 5.0
+            while message == b"*IDN?" and len(open_now) < 3 and time.monotonic() < give_up:
+                time.sleep(0.005)
+            together.append(len(open_now))
+
+        wired.fault = hook
+    text = Path("bench.yaml").read_text(encoding="utf-8")
+    Path("bench.yaml").write_text(text.replace("timeout: 0.3 s", "timeout: 6 s"), encoding="utf-8")
+    assert bench("--bench", "bench.yaml")[0] == 0
+    assert min(together) == 3
+
+
+def test_a_self_test_that_fails_is_not_accepted(
+    served: SimulatedBench, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(meter: Agilent34401A) -> int:
+        if meter is served.dialects["voltmeter.y"]:
+            meter.report(-330 if -330 in meter._error_texts else 521)
+            return 1
+        return 0
+
+    monkeypatch.setattr(Agilent34401A, "self_test", fail)
+    status, out, err = bench("--bench", "bench.yaml")
+    assert status == 1
+    (line,) = err.splitlines()
+    assert line.startswith("bench: voltmeter.y: its self-test failed: *TST? answers +1, error ")
+    assert "have it serviced" in line
+    assert "4 of 5 instruments are well" in out
+    row = next(line for line in out.splitlines() if line.startswith("voltmeter.y"))
+    assert "FAILED" in row
+    assert "y " in row  # it is read all the same
+
+
+def test_an_overload_is_told_and_is_not_an_absent_meter(served: SimulatedBench, bench: Bench) -> None:
+    served.arm(Fault(FaultKind.OVERLOAD, matching="FETC", instrument="voltmeter.z"))
+    status, out, err = bench("--bench", "bench.yaml")
+    assert status == 1
+    assert "channel z overloads the 10 V range" in err
+    assert "NOT OPENED" not in out
+
+
+def test_a_drivers_own_mistake_hides_nothing(
+    served: SimulatedBench, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = command._read
+
+    def broken(instrument: Any, row: Any, range_v: float) -> None:
+        if row.name == "voltmeter.x":
+            raise ZeroDivisionError("a mistake")
+        original(instrument, row, range_v)
+
+    monkeypatch.setattr(command, "_read", broken)
+    status, out, err = bench("--bench", "bench.yaml")
+    assert status == 1
+    assert "voltmeter.x: the driver failed with ZeroDivisionError" in err
+    assert "4 of 5 instruments are well" in out
+
+
+class Stuck:
+    """A motorised head that answers its identity and then never comes back, until it is closed."""
+
+    name = "head"
+
+    def __init__(self) -> None:
+        self.closed = 0
+        self._pair = socket.socketpair()
+
+    def open(self) -> Identity:
+        return Identity("Maker", "Model")
+
+    def position_rad(self) -> float:
+        self._pair[0].recv(1)
+        raise InstrumentLost("head", "closed", "open it")
+
+    def close(self) -> None:
+        self.closed += 1
+        self._pair[1].close()
+
+
+def test_a_driver_that_never_ends_is_given_up_and_closed() -> None:
+    head = Stuck()
+    row = command._Row("head", "COM1", "")
+    clock = VirtualClock()
+    times_s = iter([0.0, command._LONGEST_S + 1.0, command._LONGEST_S + 2.0])
+    clock.now_s = lambda: next(times_s)  # type: ignore[method-assign]
+    command._look_at_all([head], [row], 10.0, clock)
+    assert row.failure is not None
+    assert head.closed >= 1
+    assert row.absent
+
+
+def test_a_motorised_head_shows_where_it_stands() -> None:
+    class Standing(Stuck):
+        def position_rad(self) -> float:
+            return 0.7853981633974483
+
+    row = command._Row("head", "COM1", "")
+    command._look_at(Standing(), row, 10.0)
+    assert (row.shows, row.self_test, row.failures) == ("45°00′00″", "none", [])
+
+
+def test_a_bench_with_motors_is_looked_at_and_nothing_moves() -> None:
+    """A head and a chamber with wires of their own show where they stand and what they have."""
+    file = load_bench(find_bench("bench-motorised"))
+    with dry_bench(file, ForwardModel(file.installation_models()), 1) as assembly:
+        instruments = assembly.instruments.all()
+        rows = [command._row(file, instrument) for instrument in instruments]
+        command._look_at_all(instruments, rows, file.voltmeter_range_v, SystemClock())
+    shown = {row.name: row for row in rows}
+    assert [failure for row in rows for failure in row.failures] == []
+    assert shown["head"].shows == "0°00′00″"
+    assert shown["head"].address == "ASRL/dev/ttyUSB0::INSTR"
+    assert shown["chamber"].value == pytest.approx(23.0, abs=0.5)
+    assert {row.self_test for row in rows} == {"passed", "none"}
+
+
+def test_without_a_bench_file_it_says_so(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    status, out, err = bench()
+    assert (status, out) == (2, "")
+    assert "--bench FILE" in err
+    assert "--discover" in err
+
+
+def test_the_wire_log_holds_both_directions(served: SimulatedBench, bench: Bench) -> None:
+    assert bench("--bench", "bench.yaml", "--wire-log", "wire.log")[0] == 0
+    text = Path("wire.log").read_text(encoding="utf-8")
+    for name in METERS:
+        assert f" {name} > *TST?\n" in text
+        assert f" {name} < +0\n" in text
+
+
+def test_the_meters_driver_tests_itself() -> None:
+    from drivers.agilent_34401a.driver import Agilent34401A as Driver
+    from drivers.manual.head import ManualHead
+
+    assert issubclass(Driver, SelfTesting)
+    assert not issubclass(ManualHead, SelfTesting)
+
+
+# --- discovery --------------------------------------------------------------------------------------
+
+
+def test_discovery_lists_resources_and_ports_once() -> None:
+    port = SerialPort("ASRL/dev/ttyUSB0::INSTR", "/dev/ttyUSB0", "USB serial")
+    offer = discover(
+        lambda: (port.resource, "PRLGX-ASRL::/dev/ttyUSB0::INTFC", "TCPIP::10.0.0.7::INSTR"), lambda: (port,)
+    )
+    assert offer.resources == ("TCPIP::10.0.0.7::INSTR",)
+    assert offer.serial_ports == (port,)
+    assert offer.notes[-1] == SOCKETS
+
+
+def test_what_cannot_be_searched_is_a_note() -> None:
+    def fail() -> tuple[str, ...]:
+        warnings.warn("install psutil to scan all", stacklevel=1)
+        raise OSError("the network is down")
+
+    def no_ports() -> tuple[SerialPort, ...]:
+        raise ImportError("serial")
+
+    offer = discover(fail, no_ports)
+    assert (offer.resources, offer.serial_ports) == ((), ())
+    told = "\n".join(offer.notes)
+    for part in ("the network is down", "serial ports could not be searched", "install psutil", "raw SCPI"):
+        assert part in told
+
+
+def test_the_command_lists_offers(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = SerialPort("ASRL/dev/ttyUSB0::INSTR", "/dev/ttyUSB0", "USB serial")
+    found = discover(lambda: ("TCPIP::10.0.0.7::INSTR",), lambda: (port,))
+    monkeypatch.setattr(command, "discover", lambda: found)
+    status, out, err = bench("--discover")
+    assert (status, err) == (0, "")
+    assert "TCPIP::10.0.0.7::INSTR" in out
+    assert "/dev/ttyUSB0 USB serial" in out
+    assert "raw SCPI sockets" in out
+    status, out, _ = bench("--discover", "--json", "-")
+    assert status == 0
+    assert json.loads(out)["resources"] == ["TCPIP::10.0.0.7::INSTR"]

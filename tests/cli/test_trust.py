@@ -1,0 +1,198 @@
+"""What must never be believed silently: missing points, another gravity, swapped wires, damaged runs."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.readings.csv import write_csv
+from bench.run.folder import Run
+
+
+@pytest.fixture
+def measured(bench):
+    """A run "good", and its readings."""
+    assert bench("run", "paper", "--dry-run", "--name", "good")[0] == 0
+    return Run(Path("runs/good")).readings()
+
+
+def test_a_verification_point_that_is_missing_is_not_passed_over(bench, measured):
+    write_csv(measured, Path("r.csv"))
+    lines = Path("r.csv").read_text().splitlines()
+    lines[-2] = re.sub(r",-?\d+\.\d+,", ",9.9E37,", lines[-2], count=1)
+    lines[-2] = ",".join([*lines[-2].split(",")[:10], "9.9E37", *lines[-2].split(",")[11:]])
+    Path("v.csv").write_text("\n".join(lines))
+    status, out, _ = bench("verify", "v.csv", "--skip-bad-rows")
+    assert status == 1
+    assert "1 verification points are missing" in out
+    assert json.loads(bench("verify", "v.csv", "--skip-bad-rows", "--json", "-")[1])["missing"] == 1
+
+
+def test_a_run_that_stopped_before_its_last_points_is_not_verified(bench, monkeypatch):
+    from bench.run.runner import Runner
+
+    original = Runner._emit
+
+    def emit(self, kind, **data):
+        original(self, kind, **data)
+        if data.get("key", "").endswith("read/V.1.2") and kind == "step_done":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Runner, "_emit", emit)
+    assert bench("run", "quick", "--dry-run", "--name", "part")[0] == 2
+    status, out, _ = bench("verify", "part")
+    assert status == 1
+    assert "2 verification points are missing" in out
+    assert "the run is interrupted: 20 of 22 planned readings were taken" in out
+    assert bench("report", "part")[0] == 1
+    assert "20 of 22 planned readings" in Path("runs/part/report.html").read_text(encoding="utf-8")
+
+
+def test_coefficients_of_another_place_are_compared_with_the_gravity_here(bench, measured):
+    """A block calibrated where g is 9.81 m/s² measures 9.7803/9.81 of that at the equator; closed form."""
+    bench("calibrate", "good", "--g", "9.81", "--json", "c.json")
+    scale = 9.7803 / 9.81
+    bias = np.array([0.071469, -0.196485, -0.411789])
+    write_csv(replace(measured, signal=(measured.signal - bias) * scale + bias), Path("equator.csv"))
+    status, out, _ = bench(
+        "verify", "equator.csv", "--coefficients", "c.json", "--g", "9.7803", "--json", "-"
+    )
+    assert status == 0
+    assert abs(json.loads(out)["points"][0]["delta_g"]) < 2e-4
+    assert bench("verify", "equator.csv", "--coefficients", "c.json", "--g", "9.81")[0] == 1
+
+
+def test_swapped_and_reversed_wires_are_named(bench, measured):
+    write_csv(replace(measured, signal=measured.signal[:, [1, 0, 2]]), Path("swapped.csv"))
+    write_csv(replace(measured, signal=measured.signal * [-1, 1, 1]), Path("reversed.csv"))
+    for file, says in (
+        ("swapped", "are two channels or installations swapped?"),
+        ("reversed", "wires reversed?"),
+    ):
+        status, out, _ = bench("calibrate", f"{file}.csv", "--strict")
+        assert status == 1
+        assert says in out
+        assert bench("calibrate", f"{file}.csv")[0] == 0
+    status, _, err = bench("calibrate", "swapped.csv", "--json", "-")
+    assert "swapped?" in err  # standard output is JSON alone
+
+
+def test_readings_rounded_coarsely_do_not_make_a_small_uncertainty(bench, measured):
+    """Rounded to 10 mV the noise is at least 10 mV/sqrt(12), however equal the repeats are."""
+    write_csv(replace(measured, signal=np.round(measured.signal, 2)), Path("coarse.csv"))
+    result = json.loads(bench("calibrate", "coarse.csv", "--json", "-")[1])
+    assert result["noise"]["reading_v"] >= 0.01 / np.sqrt(12) * 0.999
+    truth = {"Kxy": -0.018243, "Kyx": 0.026542, "U0x": 0.071469}
+    for name, value in truth.items():
+        found = result["coefficients"][name]
+        assert abs(found["value"] - value) < 5 * found["u"]
+
+
+def test_the_bench_file_of_the_run_is_used_unless_another_is_typed(bench, measured, monkeypatch):
+    own = json.loads(bench("calibrate", "good", "--json", "-")[1])
+    monkeypatch.setenv("BENCH_FILE", "bench-gpib")
+    assert json.loads(bench("calibrate", "good", "--json", "-")[1])["g_m_s2"] == own["g_m_s2"]
+    _, _, err = bench("calibrate", "good", "--bench", "bench-gpib", "--json", "-")
+    assert "in place of the bench file that the run recorded" in err
+    events = Path("runs/good/events.jsonl")
+    events.write_text(events.read_text().replace('"samples_taken": 10', '"samples_taken": 9', 1))
+    assert bench("calibrate", "good", "--bench", "bench-gpib")[0] == 2
+
+
+@pytest.mark.parametrize("manifest", ["{bad", "[]", '{"created": 5, "files": 3}', '{"imported": "x"}'])
+def test_one_damaged_run_does_not_hide_the_others(bench, measured, manifest):
+    Path("runs/broken").mkdir()
+    Path("runs/broken/run.json").write_text(manifest)
+    status, out, _ = bench("runs")
+    assert status == 0
+    assert re.search(r"good .*finished", out)
+    assert "broken" in out
+    assert bench("calibrate", "nosuch")[0] == 2
+    assert "no unfinished run" in bench("resume")[2] or "broken" in bench("runs")[1]
+
+
+def test_an_imported_run_is_not_taken_for_an_interrupted_one(bench, measured):
+    write_csv(measured, Path("r.csv"))
+    assert bench("import", "r.csv", "--name", "hand")[0] == 0
+    assert "no unfinished run" in bench("resume")[2]
+    assert "imported" in bench("resume", "hand")[2]
+    assert bench("import", "r.csv", "--name", "../evil")[0] == 2
+    assert not Path("evil").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("calibrate", "good", "--g", "0"), "local gravity lies between"),
+        (("calibrate", "good", "--g", "nan"), "local gravity lies between"),
+        (("verify", "good", "--limit", "-1"), "a limit is a positive number"),
+        (("verify", "good", "--limit", "nan"), "a limit is a positive number"),
+        (("calibrate", "good", "--json", "nowhere/c.json"), "there is no such folder"),
+        (("calibrate", "good", "runs/good", "--out", "x"), "two sources would write"),
+        (("run", "quick", "--dry-run", "--name", "-x"), "a run's name is"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused_before_anything_is_written(
+    bench, measured, arguments, says
+):
+    before = sorted(Path().rglob("*"))
+    status, out, err = bench(*arguments)
+    assert status == 2
+    assert out == ""
+    assert says in err
+    assert sorted(Path().rglob("*")) == before
+
+
+def test_coefficients_that_are_no_numbers_are_refused(bench, measured):
+    good = json.loads(Path("runs/good/calibrate.json").read_text())
+    good["coefficients"]["Kxx"]["value"] = float("nan")
+    Path("nan.json").write_text(json.dumps(good))
+    status, _, err = bench("verify", "good", "--coefficients", "nan.json")
+    assert status == 2
+    assert "no number" in err
+
+
+def test_coefficients_of_a_simulation_are_told_from_those_of_a_block(bench, measured):
+    write_csv(measured, Path("r.csv"))
+    assert "simulated" in bench("verify", "r.csv", "--coefficients", "runs/good/calibrate.json")[2]
+    assert bench("verify", "good", "--coefficients", "runs/good/calibrate.json")[2] == ""
+
+
+def test_a_dead_channel_is_named(bench, measured):
+    write_csv(replace(measured, signal=measured.signal * [1, 1, 0]), Path("dead.csv"))
+    status, _, err = bench("calibrate", "dead.csv")
+    assert status == 2
+    assert "channel z is the same in every reading" in err
+
+
+def test_the_closed_form_takes_360_degrees_written_as_0(bench, measured):
+    wrapped = np.where(measured.angle_rad > 6.2, measured.angle_rad - 2 * np.pi, measured.angle_rad)
+    write_csv(replace(measured, angle_rad=wrapped), Path("wrap.csv"))
+    one = json.loads(bench("calibrate", "wrap.csv", "--estimator", "closed-form", "--json", "-")[1])
+    two = json.loads(bench("calibrate", "good", "--estimator", "closed-form", "--json", "-")[1])
+    assert one["coefficients"]["Kzz"]["value"] == pytest.approx(
+        two["coefficients"]["Kzz"]["value"], abs=1e-12
+    )
+
+
+def test_a_report_that_cannot_be_written_is_not_done(bench, measured):
+    write_csv(measured, Path("r.csv"))
+    Path("report").write_text("in the way")
+    assert bench("report", "r.csv")[0] == 2
+
+
+def test_debug_shows_the_traceback_and_keeps_the_status(bench):
+    status, _, err = bench("--debug", "calibrate", "nix.csv")
+    assert status == 2
+    assert "Traceback" in err
+
+
+def test_a_runs_folder_that_cannot_be_written_is_one_sentence(bench):
+    Path("runs").write_text("in the way")
+    status, _, err = bench("run", "quick", "--dry-run")
+    assert status == 2
+    assert "cannot be written" in err
+    assert len(err.splitlines()) == 1

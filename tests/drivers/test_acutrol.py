@@ -1,0 +1,247 @@
+"""The ACUTROL driver against the public client's commands, and over a real socket with a simulated table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+import pytest
+
+from drivers.acutrol.driver import READ_TERMINATION, WRITE_TERMINATION, AcutrolHead
+from drivers.interfaces import (
+    BadReading,
+    DividingHead,
+    HeadPosition,
+    Identity,
+    InstrumentLost,
+    InstrumentRefused,
+    LimitExceeded,
+)
+from drivers.motion import Travel
+from sim.acutrol import AcutrolTable
+from sim.wires.session import DROP, SILENCE, WireFault
+from sim.world.turning import HeadFault
+from sim.world.world import World
+from tests.support.scripted_session import Clock, Pairs, ScriptedSession
+from tests.support.simulated_stand import a_world, served
+
+DEG = math.pi / 180
+TRAVEL = Travel(
+    minimum_rad=-10 * DEG,
+    maximum_rad=370 * DEG,
+    tolerance_rad=0.003 * DEG,
+    speed_rad_s=10 * DEG,
+    settle_s=0.5,
+)
+
+OK = "ACUTROL>OK"
+PROVE: Pairs = [(":read:position 1", "ACUTROL>12.345678")]
+OPEN: Pairs = [
+    *PROVE,
+    (":utility:lockout on", OK),
+    (":interlock:open 1", OK),
+    (":interlock:reset 1", OK),
+    (":interlock:close 1", OK),
+]
+MOVE: Pairs = [
+    (":read:position 1", "ACUTROL>12.345678"),
+    (":demand:position 1, 012.346", OK),
+    (":mode:position 1", OK),
+    (":read:position 1", "ACUTROL>12.346000"),
+    (":demand:position 1, 045.000", OK),
+    (":read:rate 1", "ACUTROL>+9.9E+00"),
+    (":read:position 1", "ACUTROL>30.000000"),
+    (":read:rate 1", "ACUTROL>0.001000"),
+    (":read:position 1", "ACUTROL>45.001000"),
+    (":read:rate 1", "ACUTROL>-0.001000"),
+    (":read:position 1", "ACUTROL>45.001000"),
+    (":read:rate 1", "ACUTROL>0.000000"),
+    (":read:position 1", "ACUTROL>44.999000"),
+]
+STOP: Pairs = [(":demand:rate 1, 000.000", OK), (":mode:rate 1", OK)]
+CLOSE: Pairs = [*STOP, (":mode:off 1", OK), (":interlock:open 1", OK)]
+
+
+def head(session: object, clock: object | None = None, **options: object) -> AcutrolHead:
+    return AcutrolHead("head", session, clock or Clock(), TRAVEL, **options)  # type: ignore[arg-type]
+
+
+def test_start_up_move_and_leaving_at_rate_zero() -> None:
+    clock = Clock()
+    script = ScriptedSession(OPEN, MOVE, CLOSE, clock=clock)
+    h = head(script, clock)
+    assert isinstance(h, DividingHead)
+    assert h.open() == Identity("Acutronic", "ACUTROL")
+    assert h.move(45 * DEG, 1, "1/turn") == HeadPosition(pytest.approx(44.999 * DEG, abs=1e-12), 1)  # type: ignore[arg-type]
+    h.close()
+    h.close()
+    assert script.left == []
+    times_s = [time_s for _, time_s in script.sent_at_s]
+    assert all(later - earlier >= 0.25 for earlier, later in pairwise(times_s[1:6]))
+
+
+@pytest.mark.parametrize(
+    ("target_deg", "sent"),
+    [(-5.0, "-005.000"), (0.0, "000.000"), (-1e-9, "000.000"), (359.9996, "360.000"), (45.00049, "045.000")],
+)
+def test_how_an_angle_is_sent(target_deg: float, sent: str) -> None:
+    script = ScriptedSession(OPEN, [(f":demand:position 1, {sent}", OK)])
+    h = head(script)
+    h.open()
+    h.start(target_deg * DEG)
+    assert script.left == []
+
+
+def test_a_closed_interlock_that_is_refused_is_said() -> None:
+    script = ScriptedSession([*OPEN[:4], (":interlock:close 1", "ACUTROL>ERR")])
+    with pytest.raises(InstrumentRefused, match=":interlock:close 1 with 'ERR', not OK; check the interlock"):
+        head(script).open()
+
+
+def test_another_instrument_is_no_controller() -> None:
+    script = ScriptedSession([(":read:position 1", "?")] * 3)
+    with pytest.raises(BadReading):
+        head(script).open()
+
+
+@pytest.mark.parametrize(("target_deg", "direction"), [(371.0, 1), (-9.8, 1), (369.8, -1)])
+def test_limits_are_checked_before_anything_is_sent(target_deg: float, direction: int) -> None:
+    script = ScriptedSession(OPEN)
+    h = head(script)
+    h.open()
+    with pytest.raises(LimitExceeded):
+        h.move(target_deg * DEG, direction, "1/turn")  # type: ignore[arg-type]
+    assert script.left == []
+
+
+def test_ctrl_c_stops_the_table_and_the_next_move_enters_the_mode_again() -> None:
+    broken: Pairs = [*MOVE[:5], (":read:rate 1", KeyboardInterrupt())]
+    script = ScriptedSession(OPEN, broken, STOP, PROVE, MOVE)
+    h = head(script)
+    h.open()
+    with pytest.raises(KeyboardInterrupt):
+        h.move(45 * DEG, 1, "1/turn")
+    assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(44.999 * DEG)
+    assert script.left == []
+
+
+def test_a_tolerance_finer_than_a_demand_is_refused() -> None:
+    fine = Travel(minimum_rad=0.0, maximum_rad=6.0, tolerance_rad=1e-6, speed_rad_s=1.0)
+    with pytest.raises(ValueError, match="finer than"):
+        AcutrolHead("head", ScriptedSession(), Clock(), fine)  # type: ignore[arg-type]
+
+
+# --- over a real socket, with the simulated table ----------------------------------------------------
+
+
+@contextmanager
+def stand(
+    world: World,
+    fault: Callable[[bytes, bytes | None], WireFault | None] | None = None,
+    timeout_s: float = 2.0,
+) -> Iterator[AcutrolHead]:
+    with served(
+        AcutrolTable(world),
+        "head",
+        world,
+        read_termination=READ_TERMINATION,
+        write_termination=WRITE_TERMINATION,
+        fault=fault,
+        timeout_s=timeout_s,
+    ) as session:
+        h = head(session, world.clock)
+        h.open()
+        try:
+            yield h
+        finally:
+            h.close()
+
+
+def test_a_turn_from_both_sides() -> None:
+    world = a_world()
+    world.turn(12.3456789 * DEG, 1)
+    with stand(world) as h:
+        for target_deg, direction in [(45.0, 1), (45.0, 1), (360.0, 1), (45.0, -1), (0.0, 1), (0.0, -1)]:
+            position = h.move(target_deg * DEG, direction, "1/turn")  # type: ignore[arg-type]
+            assert position.angle_rad == pytest.approx(world.scale_angle_rad, abs=1e-8)
+            assert position.angle_rad == pytest.approx(target_deg * DEG, abs=1e-8)
+            assert world.direction == direction
+
+
+def test_entering_the_position_mode_moves_nothing() -> None:
+    world = a_world()
+    world.turn(100.0 * DEG, 1)
+    with stand(world) as h:
+        h.prepare()
+        world.clock.sleep(60.0)
+        assert world.scale_angle_rad == pytest.approx(100.0 * DEG, abs=1e-9)
+
+
+@pytest.mark.parametrize("fault", [HeadFault(sticks_after_rad=0.1), HeadFault(stops_off_rad=-0.01 * DEG)])
+def test_a_table_that_does_not_arrive_is_held_and_said(fault: HeadFault) -> None:
+    world = a_world()
+    world.head_fault = fault
+    with stand(world) as h, pytest.raises(InstrumentRefused, match="did not come to rest within"):
+        h.move(45 * DEG, 1, "1/turn")
+    assert world.head_rate_rad_s == 0.0
+
+
+def test_a_silent_controller_is_lost_and_the_table_stopped_over_a_new_connection() -> None:
+    world = a_world()
+
+    def silent(message: bytes, reply: bytes | None) -> WireFault | None:
+        return SILENCE if message == b":demand:position 1, 045.000" else None
+
+    with stand(world, silent, timeout_s=0.2) as h:
+        with pytest.raises(InstrumentLost, match=r"did not answer :demand:position 1, 045\.000 within"):
+            h.move(45 * DEG, 1, "1/turn")
+        assert world.head_rate_rad_s == 0.0
+        world.clock.sleep(60.0)
+        assert world.scale_angle_rad < 1 * DEG
+
+
+def test_a_lost_connection_on_the_way_does_not_halt_the_table() -> None:
+    world = a_world()
+    rates: list[bytes] = []
+
+    def drop(message: bytes, reply: bytes | None) -> WireFault | None:
+        rates.extend([message] if message == b":read:rate 1" else [])
+        return DROP if len(rates) == 5 and message == b":read:rate 1" else None
+
+    with stand(world, drop) as h:
+        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG, abs=1e-8)
+
+
+def test_a_controller_that_was_switched_off_is_refused_and_opened_again() -> None:
+    world = a_world()
+    table = AcutrolTable(world)
+    with served(table, "head", world, read_termination="\r\n", write_termination="\r\n") as session:
+        h = head(session, world.clock)
+        h.open()
+        h.move(45 * DEG, 1, "1/turn")
+        table.power_cycle()
+        with pytest.raises(InstrumentRefused, match="did not come to rest"):
+            h.move(90 * DEG, 1, "2/turn")
+        with pytest.raises(
+            InstrumentRefused, match=":mode:position 1 with 'ERR', not OK; check the interlock"
+        ):
+            h.move(90 * DEG, 1, "2/turn")
+        h.open()
+        assert h.move(90 * DEG, 1, "2/turn").angle_rad == pytest.approx(90 * DEG, abs=1e-8)
+        h.close()
+
+
+def test_leaving_opens_the_interlock_and_stops() -> None:
+    world = a_world()
+    table = AcutrolTable(world)
+    with served(table, "head", world, read_termination="\r\n", write_termination="\r\n") as session:
+        h = head(session, world.clock)
+        h.open()
+        h.prepare()
+        h.start(45 * DEG)
+        world.clock.sleep(1.0)
+        h.close()
+    assert world.head_rate_rad_s == 0.0
+    assert table.handle(b":mode:position 1", lambda: False) == b"ACUTROL>ERR"

@@ -1,0 +1,396 @@
+"""The 34401A driver against the manual's text, as pairs of (sent, answered)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import pytest
+
+from drivers.agilent_34401a.driver import Agilent34401A, reading_time_s
+from drivers.interfaces import (
+    BadReading,
+    Identity,
+    InstrumentLost,
+    InstrumentRefused,
+    LimitExceeded,
+    Voltmeter,
+    VoltmeterSettings,
+)
+from drivers.wire.visa import SerialSettings
+
+Pairs = Sequence[tuple[str, str | None]]
+
+NAME = "voltmeter.y"
+TEN_VOLTS = VoltmeterSettings(range_v=10.0, nplc=10.0, samples=2)
+
+IDENTIFY: Pairs = [("*IDN?", "HEWLETT-PACKARD,34401A,0,11-5-2"), ("*CLS", None)]
+CONFIGURE: Pairs = [
+    ("CONF:VOLT:DC 10", None),
+    ("FUNC?", '"VOLT"'),
+    ("VOLT:DC:RANG?", "+1.000000E+01"),
+    ("VOLT:DC:RANG:AUTO?", "0"),
+    ("VOLT:DC:NPLC 10", None),
+    ("VOLT:DC:NPLC?", "+1.000000E+01"),
+    ("ZERO:AUTO ON", None),
+    ("ZERO:AUTO?", "1"),
+    ("INP:IMP:AUTO ON", None),
+    ("INP:IMP:AUTO?", "1"),
+    ("TRIG:SOUR IMM", None),
+    ("TRIG:SOUR?", "IMM"),
+    ("TRIG:COUN 1", None),
+    ("TRIG:COUN?", "+1"),
+    ("SAMP:COUN 2", None),
+    ("SAMP:COUN?", "+2.00000000E+00"),
+    ("SYST:ERR?", '+0,"No error"'),
+]
+READ: Pairs = [("INIT", None), ("FETC?", "+1.52345670E+00,-1.00000000E-04"), ("*ESR?", "+0")]
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.time_s = 0.0
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def sleep(self, duration_s: float) -> None:
+        self.time_s += duration_s
+
+
+class Script:
+    """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
+
+    resource = "TCPIP::192.0.2.5::5025::SOCKET"
+    timeout_s = 3.0
+    serial = SerialSettings()
+
+    def __init__(self, *pairs: Pairs) -> None:
+        self.name = NAME
+        self.left = [pair for part in pairs for pair in part]
+        self.connection: int | None = None
+        self.timeouts_s: dict[str, float | None] = {}
+        self.made = 0
+
+    def _next(self, command: str) -> str | None:
+        assert self.left, f"{command} was sent when nothing was expected"
+        wanted, reply = self.left.pop(0)
+        assert command == wanted
+        return reply
+
+    def open(self) -> None:
+        if self.connection is None:
+            self.made += 1
+            self.connection = self.made
+
+    def write(self, command: str) -> None:
+        assert self._next(command) is None
+
+    def query(
+        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
+    ) -> str:
+        self.timeouts_s[command] = timeout_s
+        reply = self._next(command)
+        assert reply is not None
+        if pattern is not None and re.fullmatch(pattern, reply) is None:
+            self.connection = None
+            raise BadReading(self.name, f"{reply} is not {expected}", "again")
+        return reply
+
+    def close(self) -> None:
+        self.connection = None
+
+
+def meter(script: Script, clock: Clock | None = None, interface: str = "lan") -> Agilent34401A:
+    return Agilent34401A(NAME, "y", script, clock or Clock(), interface=interface)  # type: ignore[arg-type]
+
+
+def swapped(pairs: Pairs, command: str, reply: str) -> Pairs:
+    assert command in [sent for sent, _ in pairs]
+    return [(sent, reply if sent == command else answered) for sent, answered in pairs]
+
+
+def test_is_a_voltmeter_of_one_signal() -> None:
+    assert isinstance(meter(Script()), Voltmeter)
+    assert meter(Script()).channels == ("y",)
+
+
+def test_a_whole_reading() -> None:
+    script = Script(IDENTIFY, CONFIGURE, READ, READ)
+    m = meter(script)
+    assert m.open() == Identity("HEWLETT-PACKARD", "34401A", "", "11-5-2")
+    m.configure(TEN_VOLTS)
+    for _ in range(2):
+        m.start()
+        assert m.fetch() == {"y": (1.5234567, -1e-4)}
+    m.close()
+    m.close()
+    assert script.left == []
+
+
+# --- identity ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("reply", "identity"),
+    [
+        ("HEWLETT-PACKARD,34401A,0,3-1-1", Identity("HEWLETT-PACKARD", "34401A", "", "3-1-1")),
+        (
+            "HEWLETT-PACKARD,34401A,MY53000001,01.05-11-5-2",
+            Identity("HEWLETT-PACKARD", "34401A", "MY53000001", "01.05-11-5-2"),
+        ),
+        ("Agilent Technologies,34401A,0,11-5-2", Identity("Agilent Technologies", "34401A", "", "11-5-2")),
+        ("Keysight Technologies,34401A,0,11-5-2", Identity("Keysight Technologies", "34401A", "", "11-5-2")),
+    ],
+)
+def test_identity_by_pattern(reply: str, identity: Identity) -> None:
+    assert meter(Script(swapped(IDENTIFY, "*IDN?", reply))).open() == identity
+
+
+@pytest.mark.parametrize(
+    "reply",
+    ["KEITHLEY INSTRUMENTS INC.,MODEL 2000,0,B02", "Keysight Technologies,34461A,MY1,A.02", "X,34401A,0,1"],
+)
+def test_another_instrument_is_refused(reply: str) -> None:
+    with pytest.raises(InstrumentRefused, match="not a 34401A; check the address") as caught:
+        meter(Script([("*IDN?", reply)])).open()
+    assert reply in str(caught.value)
+
+
+def test_half_an_identity_is_no_identity() -> None:
+    with pytest.raises(BadReading):
+        meter(Script([("*IDN?", "HEWLETT-PACKARD,344")])).open()
+
+
+# --- settings ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        (VoltmeterSettings(10.0, 10.0, 513), "513 samples (its memory holds 1 to 512)"),
+        (VoltmeterSettings(10.0, 10.0, 0), "0 samples"),
+        (VoltmeterSettings(10.0, 5.0, 1), "5 NPLC (it has 0.02, 0.2, 1, 10, 100)"),
+        (VoltmeterSettings(3.0, 10.0, 1), "range of 3 V (it has 0.1, 1, 10, 100, 1000 V)"),
+    ],
+)
+def test_limits_are_checked_before_anything_is_sent(settings: VoltmeterSettings, named: str) -> None:
+    with pytest.raises(LimitExceeded) as caught:
+        meter(Script()).configure(settings)
+    assert named in str(caught.value)
+
+
+def test_small_values_are_sent_as_the_manual_writes_them() -> None:
+    settings = VoltmeterSettings(range_v=0.1, nplc=0.02, samples=512)
+    pairs = [
+        (
+            {
+                "CONF:VOLT:DC 10": "CONF:VOLT:DC 0.1",
+                "VOLT:DC:NPLC 10": "VOLT:DC:NPLC 0.02",
+                "SAMP:COUN 2": "SAMP:COUN 512",
+            }.get(sent, sent),
+            {
+                "VOLT:DC:RANG?": "+1.000000E-01",
+                "VOLT:DC:NPLC?": "+2.000000E-02",
+                "SAMP:COUN?": "+5.12000000E+02",
+            }.get(sent, answered),
+        )
+        for sent, answered in CONFIGURE
+    ]
+    script = Script(pairs)
+    meter(script).configure(settings)
+    assert script.left == []
+
+
+def test_all_settings_that_were_not_taken_are_named_at_once() -> None:
+    pairs = swapped(swapped(CONFIGURE, "VOLT:DC:NPLC?", "+1.000000E+02"), "INP:IMP:AUTO?", "0")
+    pairs = [*pairs[:-1], ("SYST:ERR?", '-221,"Settings conflict"'), ("SYST:ERR?", '+0,"No error"')]
+    script = Script(pairs)
+    with pytest.raises(InstrumentRefused) as caught:
+        meter(script).configure(TEN_VOLTS)
+    text = str(caught.value)
+    assert "VOLT:DC:NPLC? answers +1.000000E+02, not 10" in text
+    assert "INP:IMP:AUTO? answers 0, not 1" in text
+    assert '-221,"Settings conflict"' in text
+    assert script.left == []
+
+
+def test_an_error_queue_that_never_empties_is_given_up() -> None:
+    script = Script([*CONFIGURE[:-1], *[("SYST:ERR?", '-350,"Too many errors"')] * 21])
+    with pytest.raises(InstrumentRefused, match="-350"):
+        meter(script).configure(TEN_VOLTS)
+
+
+# --- readings ---------------------------------------------------------------------------------------
+
+
+def ready(*pairs: Pairs, interface: str = "lan") -> tuple[Agilent34401A, Script]:
+    script = Script(IDENTIFY, CONFIGURE, *pairs)
+    m = meter(script)
+    m.open()
+    m.configure(TEN_VOLTS)
+    return m, script
+
+
+def test_a_trailing_comma_is_let_pass() -> None:
+    m, _ = ready(swapped(READ, "FETC?", "+1.00000000E+00,+0.00000000E-05,"))
+    m.start()
+    assert m.fetch() == {"y": (1.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        "+1.00000000E+00",
+        "+1.00000000E+00,+1.00000000E+00,+1.00000000E+00",
+        "+1.00000000E+00,56789E+00",
+        "1.0,1.0",
+        "+1.00000000E+00,+1.0000000E+00",
+        "+1.00000000E+00 +1.00000000E+00",
+        "+1.00000000E+00,,+1.00000000E+00",
+    ],
+)
+def test_anything_but_the_15_characters_times_the_samples_is_no_reading(reply: str) -> None:
+    m, _ = ready([("INIT", None), ("FETC?", reply)])
+    m.start()
+    with pytest.raises(BadReading):
+        m.fetch()
+
+
+@pytest.mark.parametrize("value", ["+9.90000000E+37", "-9.90000000E+37"])
+def test_overload_names_channel_range_and_remedy(value: str) -> None:
+    m, _ = ready(
+        [
+            ("INIT", None),
+            ("FETC?", f"+1.00000000E+00,{value}"),
+            ("*ESR?", "+8"),
+            ("SYST:ERR?", '+0,"No error"'),
+        ]
+    )
+    m.start()
+    with pytest.raises(BadReading, match="channel y overloads the 10 V range; choose a higher range"):
+        m.fetch()
+
+
+def test_timeout_grows_with_samples_and_integration() -> None:
+    """Two samples of 10 cycles at 50 Hz, twice for autozero, take 0.8 s and some overhead."""
+    assert reading_time_s(TEN_VOLTS, 50.0) == pytest.approx(0.82)
+    m, script = ready(READ)
+    m.start()
+    m.fetch()
+    allowed_s = script.timeouts_s["FETC?"]
+    assert allowed_s is not None
+    assert allowed_s == pytest.approx(Script.timeout_s + 1.5 * 0.82)
+    assert reading_time_s(VoltmeterSettings(10.0, 100.0, 512), 50.0) > 512 * 4.0
+
+
+def test_reading_time_includes_a_slow_line() -> None:
+    """512 readings of 16 characters at 11 bits and 9600 baud take 9.4 s to send."""
+    settings = VoltmeterSettings(10.0, 0.02, 512)
+    line_s = reading_time_s(settings, 50.0, SerialSettings().character_time_s) - reading_time_s(
+        settings, 50.0
+    )
+    assert line_s == pytest.approx(9.39, abs=0.01)
+
+
+def test_nothing_is_fetched_that_was_not_started() -> None:
+    m, script = ready(READ)
+    with pytest.raises(BadReading, match="no reading was started"):
+        m.fetch()
+    m.start()
+    m.fetch()
+    with pytest.raises(BadReading, match="no reading was started"):
+        m.fetch()
+    assert script.left == []
+
+
+def test_starting_without_settings_is_refused() -> None:
+    with pytest.raises(InstrumentRefused, match="configure it"):
+        meter(Script()).start()
+
+
+# --- lost and found ---------------------------------------------------------------------------------
+
+
+def test_a_new_connection_proves_identity_and_settings_before_the_next_reading() -> None:
+    m, script = ready([("INIT", None)], IDENTIFY, CONFIGURE, READ)
+    m.start()
+    script.connection = None
+    with pytest.raises(BadReading, match="no reading was started over this connection"):
+        m.fetch()
+    m.start()
+    assert m.fetch() == {"y": (1.5234567, -1e-4)}
+    assert script.left == []
+
+
+def test_a_cut_reply_leads_to_a_proof_before_the_next_reading() -> None:
+    m, script = ready([("INIT", None), ("FETC?", "+1.52345670E+00,-1.0")], IDENTIFY, CONFIGURE, READ)
+    m.start()
+    with pytest.raises(BadReading):
+        m.fetch()
+    m.start()
+    m.fetch()
+    assert script.left == []
+
+
+def test_a_meter_that_was_switched_off_and_on_is_set_up_again() -> None:
+    m, script = ready(swapped(READ, "*ESR?", "+128"), IDENTIFY, CONFIGURE, READ)
+    m.start()
+    with pytest.raises(InstrumentLost, match="switched off and on"):
+        m.fetch()
+    m.start()
+    assert m.fetch() == {"y": (1.5234567, -1e-4)}
+    assert script.left == []
+
+
+def test_errors_that_come_with_a_reading_are_reported() -> None:
+    m, _ = ready(
+        swapped(READ, "*ESR?", "+16"), [("SYST:ERR?", '-213,"Init ignored"'), ("SYST:ERR?", '+0,"No error"')]
+    )
+    m.start()
+    with pytest.raises(InstrumentRefused, match="Init ignored"):
+        m.fetch()
+
+
+# --- RS-232 -----------------------------------------------------------------------------------------
+
+REMOTE: Pairs = [("SYST:REM", None)]
+LOCAL: Pairs = [("SYST:LOC", None)]
+
+
+def test_rs232_is_made_remote_first_and_local_last() -> None:
+    script = Script(REMOTE, IDENTIFY, REMOTE, CONFIGURE, READ, LOCAL)
+    m = meter(script, interface="rs232")
+    m.open()
+    m.configure(TEN_VOLTS)
+    m.start()
+    m.fetch()
+    assert script.timeouts_s["FETC?"] == pytest.approx(3.0 + 1.5 * (0.82 + 2 * 16 * 11 / 9600))
+    m.close()
+    m.close()
+    assert script.left == []
+
+
+def test_rs232_meter_left_alone_is_made_remote_again() -> None:
+    clock = Clock()
+    script = Script(REMOTE, IDENTIFY, REMOTE, CONFIGURE, READ, REMOTE, READ)
+    m = meter(script, clock, interface="rs232")
+    m.open()
+    m.configure(TEN_VOLTS)
+    m.start()
+    m.fetch()
+    clock.sleep(3600.0)
+    m.start()
+    m.fetch()
+    assert script.left == []
+
+
+def test_close_does_not_raise_when_the_meter_is_gone() -> None:
+    class Gone(Script):
+        def write(self, command: str) -> None:
+            raise InstrumentLost(self.name, "gone", "look for it")
+
+    script = Gone()
+    script.open()
+    meter(script, interface="rs232").close()
+    assert script.connection is None

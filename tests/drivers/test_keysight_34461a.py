@@ -1,0 +1,143 @@
+"""The Truevolt driver against the manual's text, as pairs of (sent, answered)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import pytest
+
+from drivers.interfaces import (
+    BadReading,
+    Identity,
+    InstrumentRefused,
+    LimitExceeded,
+    Voltmeter,
+    VoltmeterSettings,
+)
+from drivers.keysight_34461a.driver import Keysight34461A
+from drivers.wire.visa import SerialSettings
+from sim.world.clock import VirtualClock
+
+Pairs = Sequence[tuple[str, str | None]]
+
+IDENTITY = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-01"
+
+
+def exchange(autozero: str, impedance: str, samples: int = 2) -> Pairs:
+    return [
+        ("CONF:VOLT:DC 10", None),
+        ("FUNC?", '"VOLT"'),
+        ("VOLT:DC:RANG?", "+1.00000000E+01"),
+        ("VOLT:DC:RANG:AUTO?", "0"),
+        ("VOLT:DC:NPLC 100", None),
+        ("VOLT:DC:NPLC?", "+1.00000000E+02"),
+        (f"{autozero} ON", None),
+        (f"{autozero}?", "1"),
+        (f"{impedance} ON", None),
+        (f"{impedance}?", "1"),
+        ("TRIG:SOUR IMM", None),
+        ("TRIG:SOUR?", "IMM"),
+        ("TRIG:COUN 1", None),
+        ("TRIG:COUN?", "+1"),
+        (f"SAMP:COUN {samples}", None),
+        ("SAMP:COUN?", f"+{samples}"),
+        ("SYST:ERR?", '+0,"No error"'),
+        ("INIT", None),
+        ("FETC?", ",".join(["+6.27530000E-01"] * samples)),
+        ("*ESR?", "+0"),
+    ]
+
+
+class Script:
+    """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
+
+    name = "voltmeter.x"
+    resource = "TCPIP::192.0.2.5::5025::SOCKET"
+    timeout_s = 3.0
+    serial = SerialSettings()
+    connection: int | None = None
+
+    def __init__(self, *pairs: Pairs) -> None:
+        self.left = [pair for part in pairs for pair in part]
+
+    def open(self) -> None:
+        self.connection = 1
+
+    def write(self, command: str) -> None:
+        assert (command, None) == self.left.pop(0)
+
+    def query(
+        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
+    ) -> str:
+        wanted, reply = self.left.pop(0)
+        assert (command, reply is not None) == (wanted, True)
+        assert reply is not None
+        if pattern is not None and re.fullmatch(pattern, reply) is None:
+            raise BadReading(self.name, f"{reply} is not {expected}", "again")
+        return reply
+
+
+def meter(script: Script) -> Keysight34461A:
+    return Keysight34461A("voltmeter.x", "x", script, VirtualClock())  # type: ignore[arg-type]
+
+
+def whole_reading(identity: str, *pairs: tuple[str, str | None], samples: int = 2) -> Identity:
+    script = Script([("*IDN?", identity), ("*CLS", None)], pairs)
+    m = meter(script)
+    assert isinstance(m, Voltmeter)
+    known = m.open()
+    m.configure(VoltmeterSettings(10.0, 100.0, samples))
+    m.start()
+    assert m.fetch() == {"x": (0.62753,) * samples}
+    assert script.left == []
+    return known
+
+
+def test_in_its_own_identity_autozero_and_impedance_stand_under_the_function() -> None:
+    known = whole_reading(IDENTITY, *exchange("VOLT:DC:ZERO:AUTO", "VOLT:DC:IMP:AUTO"))
+    assert known == Identity(
+        "Keysight Technologies", "34461A", "MY53200001", "A.02.17-02.40-02.17-00.52-04-01"
+    )
+
+
+def test_emulating_a_34401a_it_is_spoken_to_as_one() -> None:
+    known = whole_reading(
+        "HEWLETT-PACKARD,34401A,MY53000001,01.05-11-5-2", *exchange("ZERO:AUTO", "INP:IMP:AUTO")
+    )
+    assert (known.model, known.serial) == ("34401A", "MY53000001")
+
+
+@pytest.mark.parametrize("model", ["34460A", "34465A", "34470A"])
+def test_its_relatives_are_taken(model: str) -> None:
+    known = whole_reading(
+        IDENTITY.replace("34461A", model), *exchange("VOLT:DC:ZERO:AUTO", "VOLT:DC:IMP:AUTO")
+    )
+    assert known.model == model
+
+
+def test_more_samples_than_a_34401a_holds() -> None:
+    whole_reading(IDENTITY, *exchange("VOLT:DC:ZERO:AUTO", "VOLT:DC:IMP:AUTO", 10_000), samples=10_000)
+
+
+@pytest.mark.parametrize(
+    ("identity", "most"),
+    [
+        (IDENTITY, 10_000),
+        (IDENTITY.replace("34461A", "34460A"), 1_000),
+        ("HEWLETT-PACKARD,34401A,0,11-5-2", 512),
+    ],
+)
+def test_the_memory_is_that_of_the_model_that_answered(identity: str, most: int) -> None:
+    m = meter(Script([("*IDN?", identity), ("*CLS", None)]))
+    m.open()
+    with pytest.raises(LimitExceeded, match=f"memory holds 1 to {most}"):
+        m.configure(VoltmeterSettings(10.0, 10.0, most + 1))
+
+
+@pytest.mark.parametrize(
+    "identity", ["Agilent Technologies,34410A,MY1,2.35", "Rigol Technologies,34461A,DM1,1", "A,B,C,D"]
+)
+def test_another_instrument_is_refused(identity: str) -> None:
+    with pytest.raises(InstrumentRefused, match="not a 34460A, 34461A, 34465A or 34470A"):
+        meter(Script([("*IDN?", identity)])).open()

@@ -1,0 +1,304 @@
+"""The 34970A driver against the manual's text, as pairs of (sent, answered)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import pytest
+
+from drivers.interfaces import (
+    BadReading,
+    Identity,
+    InstrumentLost,
+    InstrumentRefused,
+    LimitExceeded,
+    Voltmeter,
+    VoltmeterSettings,
+)
+from drivers.keysight_34970a.driver import Keysight34970A
+from drivers.wire.visa import SerialSettings
+from sim.world.clock import VirtualClock
+
+Pairs = Sequence[tuple[str, str | None]]
+
+TEN_VOLTS = VoltmeterSettings(range_v=10.0, nplc=10.0, samples=2)
+LIST = "(@101,102,103)"
+
+IDENTIFY: Pairs = [
+    ("*IDN?", "HEWLETT-PACKARD,34970A,0,13-2-2"),
+    ("*CLS", None),
+    ("SYST:CTYP? 100", "HEWLETT-PACKARD,34901A,0,2.3"),
+]
+CONFIGURE: Pairs = [
+    (f"CONF:VOLT:DC 10,DEF,{LIST}", None),
+    (f"FUNC? {LIST}", '"VOLT","VOLT","VOLT"'),
+    (f"VOLT:DC:RANG? {LIST}", "+1.00000000E+01,+1.00000000E+01,+1.00000000E+01"),
+    (f"VOLT:DC:RANG:AUTO? {LIST}", "0,0,0"),
+    (f"VOLT:DC:NPLC 10,{LIST}", None),
+    (f"VOLT:DC:NPLC? {LIST}", "+1.00000000E+01,+1.00000000E+01,+1.00000000E+01"),
+    (f"ZERO:AUTO ON,{LIST}", None),
+    (f"ZERO:AUTO? {LIST}", "1,1,1"),
+    (f"INP:IMP:AUTO ON,{LIST}", None),
+    (f"INP:IMP:AUTO? {LIST}", "1,1,1"),
+    (f"ROUT:CHAN:DEL 0.1,{LIST}", None),
+    (f"ROUT:CHAN:DEL? {LIST}", "+1.00000000E-01,+1.00000000E-01,+1.00000000E-01"),
+    (f"ROUT:SCAN {LIST}", None),
+    ("ROUT:SCAN?", "#214(@101,102,103)"),
+    ("FORM:READ:ALAR OFF", None),
+    ("FORM:READ:ALAR?", "0"),
+    ("FORM:READ:CHAN OFF", None),
+    ("FORM:READ:CHAN?", "0"),
+    ("FORM:READ:TIME OFF", None),
+    ("FORM:READ:TIME?", "0"),
+    ("FORM:READ:UNIT OFF", None),
+    ("FORM:READ:UNIT?", "0"),
+    ("TRIG:SOUR IMM", None),
+    ("TRIG:SOUR?", "IMM"),
+    ("TRIG:COUN 2", None),
+    ("TRIG:COUN?", "+2.00000000E+00"),
+    ("SYST:ERR?", '+0,"No error"'),
+]
+SIX = "+1.00000000E+00,+2.00000000E+00,+3.00000000E+00,+1.10000000E+00,+2.10000000E+00,-3.10000000E+00"
+READ: Pairs = [("INIT", None), ("FETC?", SIX), ("*ESR?", "+0")]
+
+
+class Script:
+    """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
+
+    name = "voltmeter"
+    resource = "GPIB0::9::INSTR"
+    timeout_s = 3.0
+    serial = SerialSettings()
+
+    def __init__(self, *pairs: Pairs) -> None:
+        self.left = [pair for part in pairs for pair in part]
+        self.connection: int | None = None
+        self.timeouts_s: dict[str, float | None] = {}
+        self.made = 0
+
+    def _next(self, command: str) -> str | None:
+        assert self.left, f"{command} was sent when nothing was expected"
+        wanted, reply = self.left.pop(0)
+        assert command == wanted
+        return reply
+
+    def open(self) -> None:
+        if self.connection is None:
+            self.made += 1
+            self.connection = self.made
+
+    def write(self, command: str) -> None:
+        assert self._next(command) is None
+
+    def query(
+        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
+    ) -> str:
+        self.timeouts_s[command] = timeout_s
+        reply = self._next(command)
+        assert reply is not None
+        if pattern is not None and re.fullmatch(pattern, reply) is None:
+            self.connection = None
+            raise BadReading(self.name, f"{reply} is not {expected}", "again")
+        return reply
+
+    def close(self) -> None:
+        self.connection = None
+
+
+XYZ = {"x": 101, "y": 102, "z": 103}
+
+
+def meter(script: Script, channels: object = XYZ, **options: object) -> Keysight34970A:
+    return Keysight34970A("voltmeter", channels, script, VirtualClock(), **options)  # type: ignore[arg-type]
+
+
+def swapped(pairs: Pairs, command: str, reply: str) -> Pairs:
+    assert command in [sent for sent, _ in pairs]
+    return [(sent, reply if sent == command else answered) for sent, answered in pairs]
+
+
+def ready(*pairs: Pairs) -> tuple[Keysight34970A, Script]:
+    script = Script(IDENTIFY, CONFIGURE, *pairs)
+    m = meter(script)
+    m.open()
+    m.configure(TEN_VOLTS)
+    return m, script
+
+
+def test_a_whole_reading() -> None:
+    m, script = ready(READ, READ)
+    assert isinstance(m, Voltmeter)
+    for _ in range(2):
+        m.start()
+        assert m.fetch() == {"x": (1.0, 1.1), "y": (2.0, 2.1), "z": (3.0, -3.1)}
+    m.close()
+    assert script.left == []
+
+
+def test_signals_stand_in_the_order_of_the_channel_numbers_in_which_the_meter_scans() -> None:
+    m = meter(Script(), channels=[("x", 103), ("y", 101), ("z", 102)])
+    assert m.channels == ("y", "z", "x")
+    readings = "+1.00000000E+00,+2.00000000E+00,+3.00000000E+00"
+    script = Script(
+        IDENTIFY,
+        swapped(
+            [(s.replace("TRIG:COUN 2", "TRIG:COUN 1"), a) for s, a in CONFIGURE],
+            "TRIG:COUN?",
+            "+1.00000000E+00",
+        ),
+        swapped(READ, "FETC?", readings),
+    )
+    m = meter(script, channels=[("x", 103), ("y", 101), ("z", 102)])
+    m.open()
+    m.configure(VoltmeterSettings(10.0, 10.0, 1))
+    m.start()
+    assert m.fetch() == {"y": (1.0,), "z": (2.0,), "x": (3.0,)}
+
+
+@pytest.mark.parametrize(
+    ("reply", "identity"),
+    [
+        ("HEWLETT-PACKARD,34970A,0,13-2-2", Identity("HEWLETT-PACKARD", "34970A", "", "13-2-2")),
+        (
+            "Agilent Technologies,34972A,MY49000001,1.16-1.12-02-02",
+            Identity("Agilent Technologies", "34972A", "MY49000001", "1.16-1.12-02-02"),
+        ),
+        (
+            "Keysight Technologies,34972A,MY59000001,1.17",
+            Identity("Keysight Technologies", "34972A", "MY59000001", "1.17"),
+        ),
+    ],
+)
+def test_identity_by_pattern(reply: str, identity: Identity) -> None:
+    assert meter(Script(swapped(IDENTIFY, "*IDN?", reply))).open() == identity
+
+
+@pytest.mark.parametrize("reply", ["HEWLETT-PACKARD,34401A,0,11-5-2", "RIGOL TECHNOLOGIES,34970A,0,1"])
+def test_another_instrument_is_refused(reply: str) -> None:
+    with pytest.raises(InstrumentRefused, match="not a 34970A or 34972A; check the address"):
+        meter(Script([("*IDN?", reply)])).open()
+
+
+@pytest.mark.parametrize(
+    ("reply", "named"),
+    [
+        ("HEWLETT-PACKARD,0,0,0", "slot 100 of GPIB0::9::INSTR is empty, not a 34901A"),
+        ("HEWLETT-PACKARD,34908A,0,2.3", "holds 'HEWLETT-PACKARD,34908A,0,2.3', not a 34901A"),
+    ],
+)
+def test_the_card_in_the_slot_is_proved(reply: str, named: str) -> None:
+    with pytest.raises(InstrumentRefused, match=re.escape(named)):
+        meter(Script(swapped(IDENTIFY, "SYST:CTYP? 100", reply))).open()
+
+
+def test_every_slot_that_is_used_is_proved() -> None:
+    script = Script(IDENTIFY, [("SYST:CTYP? 300", "HEWLETT-PACKARD,34901A,0,2.3")])
+    meter(script, channels={"x": 101, "y": 120, "z": 301}).open()
+    assert script.left == []
+
+
+@pytest.mark.parametrize(
+    ("channels", "named"),
+    [
+        ({"x": 121, "y": 102, "z": 103}, "x on channel 121 (a 34901A has 101 to 120"),
+        ({"x": 100}, "x on channel 100"),
+        ({"x": 401}, "x on channel 401"),
+        ({"x": 101, "y": 101}, "two signals on channel 101"),
+        ([("x", 101), ("x", 102)], "x on two channels"),
+        ({}, "a scan of no channel"),
+    ],
+)
+def test_channels_are_validated(channels: object, named: str) -> None:
+    with pytest.raises(LimitExceeded, match=re.escape(named)):
+        meter(Script(), channels=channels)
+
+
+@pytest.mark.parametrize(("delay_s", "named"), [(60.5, "0 to 60 s"), (-1.0, "0 to 60 s"), (0.0005, "1 ms")])
+def test_channel_delay_is_validated(delay_s: float, named: str) -> None:
+    with pytest.raises(LimitExceeded, match=named):
+        meter(Script(), channel_delay_s=delay_s)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        (VoltmeterSettings(10.0, 10.0, 16_667), "16667 samples (its memory holds 1 to 16666)"),
+        (VoltmeterSettings(1000.0, 10.0, 1), "range of 1000 V (it has 0.1, 1, 10, 100, 300 V)"),
+        (VoltmeterSettings(10.0, 5.0, 1), "5 NPLC (it has 0.02, 0.2, 1, 2, 10, 20, 100, 200)"),
+    ],
+)
+def test_limits_are_checked_before_anything_is_sent(settings: VoltmeterSettings, named: str) -> None:
+    with pytest.raises(LimitExceeded, match=re.escape(named)):
+        meter(Script()).configure(settings)
+
+
+@pytest.mark.parametrize(
+    ("command", "reply", "named"),
+    [
+        ("ROUT:SCAN?", "#210(@101,102)", "ROUT:SCAN? answers #210(@101,102), not #214(@101,102,103)"),
+        (
+            f"VOLT:DC:NPLC? {LIST}",
+            "+1.00000000E+01,+1.00000000E+00,+1.00000000E+01",
+            "not 10, 10, 10",
+        ),
+        (f"INP:IMP:AUTO? {LIST}", "1,0,1", "not 1, 1, 1"),
+        ("FORM:READ:TIME?", "1", "FORM:READ:TIME? answers 1, not 0"),
+        ("TRIG:SOUR?", "TIM", "TRIG:SOUR? answers TIM, not IMM"),
+    ],
+)
+def test_a_setting_that_was_not_taken_is_named(command: str, reply: str, named: str) -> None:
+    script = Script(swapped(CONFIGURE, command, reply))
+    with pytest.raises(InstrumentRefused, match=re.escape(named)):
+        meter(script).configure(TEN_VOLTS)
+    assert script.left == []
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        "+1.00000000E+00,+2.00000000E+00,+3.00000000E+00",
+        SIX + ",+1.00000000E+00",
+        SIX.replace("+1.10000000E+00", "+1.10000000E+00 VDC"),
+        SIX.replace("+1.10000000E+00", "+1.1E+00"),
+    ],
+)
+def test_anything_but_all_readings_of_all_channels_is_no_reading(reply: str) -> None:
+    m, _ = ready([("INIT", None), ("FETC?", reply)])
+    m.start()
+    with pytest.raises(BadReading):
+        m.fetch()
+
+
+def test_overload_names_the_channel() -> None:
+    reply = SIX.replace("+2.10000000E+00", "-9.90000000E+37")
+    m, _ = ready(swapped(READ, "FETC?", reply))
+    m.start()
+    with pytest.raises(BadReading, match="channel y overloads the 10 V range; choose a higher range"):
+        m.fetch()
+
+
+def test_timeout_grows_with_the_scan() -> None:
+    """Two scans of three channels: 0.1 s of delay, 10 cycles twice at 50 Hz, 30 ms around each."""
+    m, script = ready(READ)
+    m.start()
+    m.fetch()
+    assert script.timeouts_s["FETC?"] == pytest.approx(3.0 + 1.5 * 6 * (0.1 + 0.4 + 0.03))
+
+
+def test_a_meter_that_was_switched_off_and_on_is_set_up_again() -> None:
+    m, script = ready(swapped(READ, "*ESR?", "+128"), IDENTIFY, CONFIGURE, READ)
+    m.start()
+    with pytest.raises(InstrumentLost, match="switched off and on"):
+        m.fetch()
+    m.start()
+    assert m.fetch()["x"] == (1.0, 1.1)
+    assert script.left == []
+
+
+def test_over_rs232_it_is_made_remote_first_and_local_last() -> None:
+    script = Script([("SYST:REM", None)], IDENTIFY, [("SYST:LOC", None)])
+    m = meter(script, interface="rs232")
+    m.open()
+    m.close()
+    assert script.left == []

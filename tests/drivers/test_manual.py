@@ -1,0 +1,216 @@
+"""The head and the chamber that ask a person."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pytest
+
+from drivers.interfaces import (
+    Answer,
+    BadReading,
+    DividingHead,
+    InstrumentRefused,
+    LimitExceeded,
+    NoAnswer,
+    Prompt,
+    PromptKind,
+    ThermalChamber,
+)
+from drivers.manual.chamber import ManualChamber
+from drivers.manual.head import ManualHead
+
+SECOND = math.radians(1.0 / 3600.0)
+TOLERANCE = 30 * SECOND
+
+
+class Script:
+    """A person with prepared answers; an `Answer` is given as it is, a text to the prompt that asks."""
+
+    def __init__(self, answers: Sequence[str | Answer]) -> None:
+        self.answers = list(answers)
+        self.prompts: list[Prompt] = []
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.prompts.append(prompt)
+        if not self.answers:
+            raise NoAnswer("script", "the answers ran out", "add some")
+        answer = self.answers.pop(0)
+        return answer if isinstance(answer, Answer) else Answer(prompt.id, answer)
+
+
+def head(*answers: str | Answer, max_attempts: int = 5) -> tuple[ManualHead, Script]:
+    person = Script(answers)
+    return ManualHead("head", person, tolerance_rad=TOLERANCE, max_attempts=max_attempts), person
+
+
+def chamber(*answers: str | Answer) -> tuple[ManualChamber, Script]:
+    person = Script(answers)
+    return ManualChamber("chamber", person, minimum_c=-40.0, maximum_c=85.0), person
+
+
+# --- head -------------------------------------------------------------------------------------------
+
+
+def test_the_angle_read_comes_back_not_the_target() -> None:
+    h, person = head("45 00 04")
+    position = h.move(math.radians(45.0), 1, "12/turn")
+    assert position.angle_rad == pytest.approx(math.radians(45.0) + 4 * SECOND, abs=1e-12)
+    assert position.direction == 1
+    prompt = person.prompts[0]
+    assert prompt.id == "12/turn#1"
+    assert prompt.kind is PromptKind.ANGLE
+    assert prompt.default == "45°00′00″"
+    assert prompt.action == {"do": "turn", "target_rad": math.radians(45.0), "direction": 1}
+    assert "45°00′00″" in prompt.text
+    assert "approach with the angle rising, from below; clamp; read again" in prompt.text
+
+
+def test_falling_approach_is_said_and_returned() -> None:
+    h, person = head("")
+    assert h.move(math.radians(90.0), -1, "k").direction == -1
+    assert "falling, from above" in person.prompts[0].text
+
+
+@pytest.mark.parametrize("degrees", [0.0, 22.5, 45.0, 360.0, 54.735610317, 51.0 + 25.0 / 60.0, -45.0])
+def test_enter_accepts_the_target(degrees: float) -> None:
+    h, _ = head("")
+    assert h.move(math.radians(degrees), 1, "k").angle_rad == pytest.approx(
+        math.radians(degrees), abs=5e-4 * SECOND
+    )
+
+
+@pytest.mark.parametrize(
+    ("target_deg", "typed", "read_deg"),
+    [
+        (360.0, "0 00 03", 360.0 + 3 / 3600),
+        (360.0, "359 59 57", 360.0 - 3 / 3600),
+        (0.0, "359 59 57", -3 / 3600),
+        (0.0, "-0 00 03", -3 / 3600),
+        (0.0, "360 00 03", 3 / 3600),
+        (-45.0, "315 00 00", -45.0),
+    ],
+)
+def test_the_reading_is_unwrapped_next_to_the_target(target_deg: float, typed: str, read_deg: float) -> None:
+    h, person = head(typed)
+    assert h.move(math.radians(target_deg), 1, "k").angle_rad == pytest.approx(
+        math.radians(read_deg), abs=1e-12
+    )
+    assert len(person.prompts) == 1
+
+
+def test_the_tolerance_itself_is_inside() -> None:
+    h, person = head("45 00 30")
+    h.move(math.radians(45.0), 1, "k")
+    assert len(person.prompts) == 1
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("46 00 03", "probably the degree line is one off (1°)"),
+        ("45 10 00", "probably the tens of minutes are one off (10′)"),
+        ("315 00 00", "probably 360° - x was read"),
+        ("45 03 20", "45°03′20″ is 0°03′20″ above the target, outside the 0°00′30″ allowed: turn the head"),
+        ("44 57 00", "is 0°03′00″ below the target"),
+        ("45 00 31", "0°00′31″ above the target"),
+        ("fourty five", "'fourty five' is not an angle"),
+        ("45 00 75", "minutes or seconds of 60 or more"),
+        (Answer("11/turn#1", "45 00 00"), "belonged to an earlier question"),
+    ],
+)
+def test_a_doubtful_answer_is_asked_again_with_the_reason(typed: str | Answer, said: str) -> None:
+    h, person = head(typed, "45 00 02")
+    assert h.move(math.radians(45.0), 1, "12/turn").angle_rad == pytest.approx(
+        math.radians(45.0) + 2 * SECOND, abs=1e-12
+    )
+    assert [prompt.id for prompt in person.prompts] == ["12/turn#1", "12/turn#2"]
+    assert said in person.prompts[1].text
+    assert "Turn the head to 45°00′00″" in person.prompts[1].text
+
+
+def test_outside_the_tolerance_is_never_accepted() -> None:
+    h, person = head(*["45 01 40"] * 3, max_attempts=3)
+    with pytest.raises(
+        LimitExceeded, match=r"no reading within 0°00′30″ of 45°00′00″ in 3 attempts.*1′40″ above"
+    ):
+        h.move(math.radians(45.0), 1, "k")
+    assert len(person.prompts) == 3
+
+
+def test_no_answer_passes_through() -> None:
+    for machine in (head()[0], head("nonsense")[0]):
+        with pytest.raises(NoAnswer, match="ran out"):
+            machine.move(0.0, 1, "k")
+
+
+def test_head_is_a_dividing_head() -> None:
+    h, _ = head()
+    assert isinstance(h, DividingHead)
+    assert str(h.open()) == "manual dividing head"
+    h.close()
+
+
+# --- chamber ----------------------------------------------------------------------------------------
+
+
+def test_chamber_is_set_by_confirmation() -> None:
+    c, person = chamber("")
+    c.set_temperature(-20.0, "3/chamber")
+    prompt = person.prompts[0]
+    assert (prompt.id, prompt.kind, prompt.default) == ("3/chamber#1", PromptKind.CONFIRM, "yes")
+    assert prompt.action == {"do": "set_temperature", "target_c": -20.0}
+    assert "-20 °C" in prompt.text
+
+
+def test_a_no_or_a_stale_yes_is_not_a_confirmation() -> None:
+    c, person = chamber("no", Answer("2/chamber#1", "yes"), "Yes")
+    c.set_temperature(20.0, "3/chamber")
+    assert len(person.prompts) == 3
+    c, _ = chamber(*["no"] * 5)
+    with pytest.raises(InstrumentRefused, match="nobody confirmed"):
+        c.set_temperature(20.0, "3/chamber")
+
+
+@pytest.mark.parametrize("target_c", [-40.1, 85.1, math.nan])
+def test_limits_are_checked_before_anybody_is_asked(target_c: float) -> None:
+    c, person = chamber("yes")
+    with pytest.raises(LimitExceeded, match="outside -40 to 85 °C"):
+        c.set_temperature(target_c, "k")
+    assert person.prompts == []
+
+
+@pytest.mark.parametrize(
+    ("typed", "temperature_c"),
+    [("23.5", 23.5), ("23,5", 23.5), ("-20 °C", -20.0), ("−20", -20.0), ("+5C", 5.0), ("105", 105.0)],
+)
+def test_temperature_as_typed(typed: str, temperature_c: float) -> None:
+    c, person = chamber(typed)
+    assert c.temperature("k") == temperature_c
+    prompt = person.prompts[0]
+    assert (prompt.kind, prompt.unit, prompt.default) == (PromptKind.NUMBER, "°C", None)
+    assert (prompt.minimum, prompt.maximum) == (-60.0, 105.0)
+    assert prompt.action == {"do": "read_temperature"}
+
+
+@pytest.mark.parametrize("typed", ["", "warm", "nan", "1e1", "105.1", "-60.1", Answer("old", "20")])
+def test_implausible_temperatures_are_asked_again(typed: str | Answer) -> None:
+    c, person = chamber(typed, "21.5")
+    assert c.temperature("k") == 21.5
+    assert [prompt.id for prompt in person.prompts] == ["k#1", "k#2"]
+    assert person.prompts[1].text != person.prompts[0].text
+
+
+def test_no_plausible_temperature_is_a_bad_reading() -> None:
+    c, _ = chamber(*["200"] * 5)
+    with pytest.raises(BadReading, match="no plausible temperature"):
+        c.temperature("k")
+
+
+def test_chamber_is_a_thermal_chamber() -> None:
+    c, _ = chamber()
+    assert isinstance(c, ThermalChamber)
+    assert c.asks_person
+    assert str(c.open()) == "manual thermal chamber"
+    c.close()

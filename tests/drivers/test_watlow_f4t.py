@@ -1,0 +1,170 @@
+"""The F4T driver against the guide's text, and over a real socket with a simulated controller."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+import pytest
+
+from drivers.chambers import ChamberLimits
+from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, LimitExceeded, ThermalChamber
+from drivers.watlow_f4t.driver import WatlowF4TChamber
+from sim.watlow_f4t import WatlowF4T
+from sim.world.world import World
+from tests.support.scripted_session import Clock, Pairs, ScriptedSession
+from tests.support.simulated_stand import a_world, served
+
+LIMITS = ChamberLimits(-40.0, 85.0, band_c=2.0)
+LOOP = ":SOURCE:CLOOP1"
+CELSIUS: Pairs = [(":UNIT:TEMPERATURE?", "C")]
+FAHRENHEIT: Pairs = [(":UNIT:TEMPERATURE?", "F")]
+IDENTITY = ("*IDN?", "Watlow Electric,F4T,12345,04:07:0011")
+NO_ERROR = (f"{LOOP}:ERROR?", "NONE")
+
+
+def chamber(session: object, clock: object | None = None, **options: object) -> WatlowF4TChamber:
+    return WatlowF4TChamber("chamber", session, clock or Clock(), LIMITS, **options)  # type: ignore[arg-type]
+
+
+def test_set_and_read_in_celsius_with_an_output() -> None:
+    script = ScriptedSession(
+        [IDENTITY, *CELSIUS],
+        [NO_ERROR, *CELSIUS, (f"{LOOP}:SPOINT 25.00", None), *CELSIUS, (f"{LOOP}:SPOINT?", "25.0")],
+        [(":OUTPUT1:STATE ON", None), (":OUTPUT1:STATE?", "ON")],
+        [NO_ERROR, *CELSIUS, (f"{LOOP}:SPOINT?", "25.0"), (":OUTPUT1:STATE?", "ON")],
+        [*CELSIUS, (f"{LOOP}:PVALUE?", "24.62")],
+        [(":OUTPUT1:STATE OFF", None), (":OUTPUT1:STATE?", "OFF")],
+    )
+    c = chamber(script, output=1)
+    assert isinstance(c, ThermalChamber)
+    assert c.open() == Identity("Watlow Electric", "F4T", "12345", "04:07:0011")
+    c.set_temperature(25.0, "1/temperature")
+    assert c.temperature("2/read") == 24.62
+    c.make_safe()
+    c.close()
+    assert script.left == []
+
+
+def test_a_controller_that_says_it_speaks_fahrenheit_is_spoken_to_so() -> None:
+    script = ScriptedSession(
+        [IDENTITY, *FAHRENHEIT],
+        [NO_ERROR, *FAHRENHEIT, (f"{LOOP}:SPOINT 77.00", None), *FAHRENHEIT, (f"{LOOP}:SPOINT?", "77.0")],
+        [NO_ERROR, *FAHRENHEIT, (f"{LOOP}:SPOINT?", "77.0"), *FAHRENHEIT, (f"{LOOP}:PVALUE?", "76.1")],
+    )
+    c = chamber(script)
+    c.open()
+    c.set_temperature(25.0, "1/temperature")
+    assert c.temperature("2/read") == pytest.approx(24.5)
+
+
+@pytest.mark.parametrize(
+    "answers", [[InstrumentLost("chamber", "it did not answer", "wait")], ["?", "?", "?"]]
+)
+def test_a_controller_that_does_not_tell_its_unit_is_refused(answers: list[str | BaseException]) -> None:
+    pairs: Pairs = [IDENTITY, *((":UNIT:TEMPERATURE?", answer) for answer in answers)]
+    with pytest.raises(
+        InstrumentRefused, match=r"does not say whether it speaks °C or °F .*; update its firmware"
+    ):
+        chamber(ScriptedSession(pairs)).open()
+
+
+def test_a_controller_that_does_not_take_the_demand() -> None:
+    script = ScriptedSession(
+        [IDENTITY, *CELSIUS, NO_ERROR, *CELSIUS],
+        [(f"{LOOP}:SPOINT 85.00", None), *CELSIUS, (f"{LOOP}:SPOINT?", "80.0")],
+    )
+    c = chamber(script)
+    c.open()
+    with pytest.raises(InstrumentRefused, match="set point is 80 °C, not the 85 °C demanded"):
+        c.set_temperature(85.0, "1/temperature")
+
+
+def test_it_is_left_alone_for_a_second_after_each_write() -> None:
+    clock = Clock()
+    script = ScriptedSession(
+        [IDENTITY, *CELSIUS, NO_ERROR, *CELSIUS],
+        [(f"{LOOP}:SPOINT 25.00", None), *CELSIUS, (f"{LOOP}:SPOINT?", "25.0")],
+        [(":OUTPUT1:STATE ON", None), (":OUTPUT1:STATE?", "ON")],
+        clock=clock,
+    )
+    c = chamber(script, clock, output=1)
+    c.open()
+    c.set_temperature(25.0, "1/temperature")
+    gaps_s = [after - before for (sent, before), (_, after) in pairwise(script.sent_at_s) if "?" not in sent]
+    assert gaps_s == pytest.approx([1.0, 1.0])
+
+
+@pytest.mark.parametrize("target_c", [-41.0, 86.0])
+def test_limits_hold_before_anything_is_sent(target_c: float) -> None:
+    c = chamber(ScriptedSession([IDENTITY, *CELSIUS]))
+    c.open()
+    with pytest.raises(LimitExceeded):
+        c.set_temperature(target_c, "1/temperature")
+
+
+def test_another_instrument_is_refused() -> None:
+    with pytest.raises(InstrumentRefused, match="is 'HEWLETT-PACKARD,34401A,0,11-5-2', not a F4T"):
+        chamber(ScriptedSession([("*IDN?", "HEWLETT-PACKARD,34401A,0,11-5-2")])).open()
+
+
+# --- over a real socket, with the simulated controller -----------------------------------------------
+
+
+@contextmanager
+def stand(world: World, simulated: WatlowF4T, **options: object) -> Iterator[WatlowF4TChamber]:
+    with served(simulated, "chamber", world, timeout_s=0.2) as session:
+        c = chamber(session, world.clock, **options)
+        yield c
+        c.close()
+
+
+@pytest.mark.parametrize("unit", ["C", "F"])
+def test_the_world_follows_the_chamber_in_either_unit(unit: str) -> None:
+    world = a_world()
+    with stand(world, WatlowF4T(world, unit=unit, output_on=False), output=1) as c:  # type: ignore[arg-type]
+        c.open()
+        c.set_temperature(-20.0, "1/temperature")
+        world.clock.sleep(3 * 3600.0)
+        assert c.temperature("2/read") == pytest.approx(-20.0, abs=0.01)
+        assert world.block_c == pytest.approx(-20.0, abs=0.01)
+        c.make_safe()
+        world.clock.sleep(24 * 3600.0)
+        assert c.temperature("3/read") == pytest.approx(23.0, abs=0.1)
+
+
+def test_without_an_output_it_is_made_safe_by_a_demand() -> None:
+    world = a_world()
+    with stand(world, WatlowF4T(world), safe_c=30.0) as c:
+        c.open()
+        c.set_temperature(60.0, "1/temperature")
+        world.clock.sleep(3 * 3600.0)
+        c.make_safe()
+        world.clock.sleep(3 * 3600.0)
+        assert world.chamber_c == pytest.approx(30.0, abs=0.01)
+
+
+def test_old_firmware_is_refused() -> None:
+    world = a_world()
+    with (
+        stand(world, WatlowF4T(world, old_firmware=True)) as c,
+        pytest.raises(InstrumentRefused, match="older firmware speaks °F only"),
+    ):
+        c.open()
+
+
+def test_a_broken_sensor_and_a_power_cycle_are_noticed() -> None:
+    world = a_world()
+    simulated = WatlowF4T(world)
+    with stand(world, simulated, output=1) as c:
+        c.open()
+        c.set_temperature(25.0, "1/temperature")
+        world.clock.sleep(3600.0)
+        simulated.error = True
+        with pytest.raises(InstrumentRefused, match="control loop reports ERROR"):
+            c.temperature("2/read")
+        simulated.error = False
+        simulated.power_cycle()
+        with pytest.raises(InstrumentRefused, match="its output 1 is OFF, not ON"):
+            c.temperature("2/read")

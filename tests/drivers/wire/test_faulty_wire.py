@@ -1,0 +1,146 @@
+"""Heads and chambers on wires that fail at random: a right value, or one of our errors; never a wrong value."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+from collections.abc import Callable
+
+import pytest
+
+from drivers.acutrol.driver import AcutrolHead
+from drivers.chambers import ChamberLimits
+from drivers.espec.driver import EspecChamber
+from drivers.interfaces import BenchError, DividingHead, ThermalChamber
+from drivers.motion import Travel
+from drivers.thermotron.driver import ThermotronChamber
+from drivers.watlow_f4t.driver import WatlowF4TChamber
+from drivers.wire.visa import MessageSession
+from drivers.zaber.driver import ZaberHead
+from sim.acutrol import AcutrolTable
+from sim.espec import EspecP300
+from sim.thermotron import Thermotron8800
+from sim.watlow_f4t import WatlowF4T
+from sim.wires.session import DROP, SILENCE, Dialect, FaultHook, WireFault
+from sim.world.world import World
+from sim.zaber import ZaberStage
+from tests.support.simulated_stand import a_world, served
+
+DEG = math.pi / 180
+STEPS = 10000.0
+TRAVEL = Travel(
+    minimum_rad=-10 * DEG,
+    maximum_rad=370 * DEG,
+    tolerance_rad=0.002 * DEG,
+    speed_rad_s=20 * DEG,
+    settle_s=0.5,
+)
+LIMITS = ChamberLimits(-40.0, 85.0)
+SEED = 20261121
+
+
+def at_random(probability: float, generator: random.Random, spoilt: list[bytes]) -> FaultHook:
+    """Spoil some of the exchanges, in every way there is, and list them."""
+
+    def fault(message: bytes, reply: bytes | None) -> WireFault | None:
+        if generator.random() > probability:
+            return None
+        spoilt.append(message)
+        text = reply or b""
+        return generator.choice(
+            (
+                DROP,
+                SILENCE,
+                WireFault.cut(reply, generator.randint(0, len(text))),
+                WireFault.garble(reply),
+                WireFault(lines=(text, text)),
+                WireFault(lines=(b"!01 1 IDLE --", text)),
+            )
+        )
+
+    return fault
+
+
+HEADS: dict[str, Callable[[MessageSession, World], DividingHead]] = {
+    "zaber": lambda session, world: ZaberHead(
+        "head", session, world.clock, TRAVEL, steps_per_degree=STEPS, checksums=True
+    ),
+    "acutrol": lambda session, world: AcutrolHead("head", session, world.clock, TRAVEL),
+}
+CHAMBERS: dict[str, Callable[[MessageSession, World], ThermalChamber]] = {
+    "espec": lambda session, world: EspecChamber("chamber", session, world.clock, LIMITS),
+    "f4t": lambda session, world: WatlowF4TChamber("chamber", session, world.clock, LIMITS, output=1),
+    "thermotron": lambda session, world: ThermotronChamber("chamber", session, world.clock, LIMITS),
+}
+
+
+def dialect(kind: str, world: World) -> Dialect:
+    dialects: dict[str, Callable[[], Dialect]] = {
+        "zaber": lambda: ZaberStage(world, steps_per_degree=STEPS),
+        "acutrol": lambda: AcutrolTable(world),
+        "espec": lambda: EspecP300(world),
+        "f4t": lambda: WatlowF4T(world),
+        "thermotron": lambda: Thermotron8800(world),
+    }
+    return dialects[kind]()
+
+
+@pytest.mark.parametrize("kind", HEADS)
+def test_a_head_is_where_it_says_or_says_why_not(kind: str) -> None:
+    world = a_world()
+    generator = random.Random(SEED)  # noqa: S311
+    arrived = 0
+    messages: list[str] = []
+    spoilt: list[bytes] = []
+    with served(
+        dialect(kind, world), "head", world, fault=at_random(0.04, generator, spoilt), timeout_s=0.1
+    ) as session:
+        head = HEADS[kind](session, world)
+        for number in range(10):
+            target_deg, direction = generator.choice(((0, 1), (45, 1), (45, -1), (360, 1), (100, -1)))
+            try:
+                head.open()
+                position = head.move(target_deg * DEG, direction, f"{number}/turn")  # type: ignore[arg-type]
+            except BenchError as error:
+                messages.append(str(error))
+                continue
+            arrived += 1
+            assert position.angle_rad == pytest.approx(target_deg * DEG, abs=TRAVEL.tolerance_rad)
+            assert position.angle_rad == pytest.approx(world.scale_angle_rad, abs=1e-8)
+            assert world.direction == direction
+            assert world.head_rate_rad_s == 0.0
+        head.close()
+    assert arrived >= 2
+    assert len(spoilt) >= 5
+    assert all(re.fullmatch(r"head: [^\n]+; [^\n]+", message) for message in messages)
+
+
+@pytest.mark.parametrize("kind", CHAMBERS)
+def test_a_chamber_has_the_temperature_it_says_or_says_why_not(kind: str) -> None:
+    world = a_world()
+    generator = random.Random(SEED)  # noqa: S311
+    arrived = 0
+    messages: list[str] = []
+    spoilt: list[bytes] = []
+    with served(
+        dialect(kind, world), "chamber", world, fault=at_random(0.15, generator, spoilt), timeout_s=0.1
+    ) as session:
+        chamber = CHAMBERS[kind](session, world)
+        for number in range(15):
+            target_c = generator.choice((-20.0, 10.0, 60.0))
+            try:
+                chamber.open()
+                chamber.set_temperature(target_c, f"{number}/temperature")
+                world.clock.sleep(3 * 3600.0)
+                shown_c = chamber.temperature(f"{number}/read")
+            except BenchError as error:
+                messages.append(str(error))
+                continue
+            arrived += 1
+            assert shown_c == pytest.approx(target_c, abs=0.05)
+            assert world.chamber_c == pytest.approx(target_c, abs=0.05)
+        chamber.close()
+    assert arrived >= 2
+    assert len(spoilt) >= 5
+    assert all(re.fullmatch(r"chamber: [^\n]+; [^\n]+", message) for message in messages)

@@ -1,0 +1,448 @@
+"""GPIB through an adapter: the transport, the simulated adapter, and a bench of three meters over both."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import numpy as np
+import pytest
+import pyvisa
+
+from bench.model import Block, ForwardModel
+from bench.model.geometry import INSTALLATION_1
+from drivers.agilent_34401a.driver import Agilent34401A as Driver
+from drivers.interfaces import Channel, InstrumentLost, VoltmeterSettings
+from drivers.wire.causes import WireError
+from drivers.wire.prologix import parse
+from drivers.wire.visa import MessageSession
+from sim.agilent_34401a.meter import Agilent34401A
+from sim.bench import SimulatedBench
+from sim.wires.prologix import UNRECOGNIZED, AdapterSettings, GpibAdapter
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings
+
+IDENTITY = "HEWLETT-PACKARD,34401A,0,11-5-2"
+ADDRESSES: dict[Channel, int] = {"x": 22, "y": 23, "z": 24}
+NO_ERROR = '+0,"No error"'
+
+
+def a_world() -> World:
+    block = Block(
+        np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
+        np.array([0.07, -0.2, -0.41]),
+    )
+    return World(WorldSettings(block, ForwardModel({"1": INSTALLATION_1}), {}, seed=5), VirtualClock())
+
+
+class Bus:
+    """Three 34401A on a GPIB bus, and the adapter that leads to it."""
+
+    def __init__(self, **options: object) -> None:
+        self.world = a_world()
+        self.adapter = GpibAdapter(self.world.clock, **options)  # type: ignore[arg-type]
+        self.meters = {
+            channel: self.adapter.attach(a, self._meter(channel)) for channel, a in ADDRESSES.items()
+        }
+
+    def _meter(self, channel: Channel) -> Callable[[object], Agilent34401A]:
+        def make(clock: object) -> Agilent34401A:
+            return Agilent34401A(
+                self.world.terminals(channel),
+                clock,  # type: ignore[arg-type]
+                interface="gpib",
+                noise=False,
+            )
+
+        return make
+
+
+@contextmanager
+def served(bus: Bus) -> Iterator[SimulatedBench]:
+    with SimulatedBench(bus.world, {"adapter": bus.adapter}) as bench:
+        yield bench
+
+
+@contextmanager
+def session(bench: SimulatedBench, address: int = 22, timeout_s: float = 5.0) -> Iterator[MessageSession]:
+    made = MessageSession(f"meter {address}", resource(bench, address), timeout_s=timeout_s)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def resource(bench: SimulatedBench, address: int) -> str:
+    return f"prologix://{bench.servers['adapter'].address}/{address}"
+
+
+# --- resource names ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("resource", "link", "address"),
+    [
+        ("prologix://192.0.2.10:1234/22", "TCPIP0::192.0.2.10::1234::SOCKET", 22),
+        ("prologix://gpib-adapter/9", "TCPIP0::gpib-adapter::1234::SOCKET", 9),
+        ("prologix:///dev/ttyUSB0/0", "ASRL/dev/ttyUSB0::INSTR", 0),
+        ("prologix:///dev/serial/by-id/usb-Prologix/30", "ASRL/dev/serial/by-id/usb-Prologix::INSTR", 30),
+        ("prologix://COM3/22", "ASRL3::INSTR", 22),
+    ],
+)
+def test_a_resource_names_adapter_and_address(resource: str, link: str, address: int) -> None:
+    assert parse(resource) == (link, address)
+
+
+@pytest.mark.parametrize(
+    "resource",
+    ["prologix://host:1234", "prologix://host/31", "prologix://host/x", "prologix:host/22", "prologix:///22"],
+)
+def test_a_resource_of_another_form_says_how_to_write_it(resource: str) -> None:
+    with pytest.raises(WireError, match=r"prologix://192\.0\.2\.10:1234/22"):
+        parse(resource)
+    with pytest.raises(InstrumentLost, match="not an address that can be understood; write it like"):
+        MessageSession("v", resource).open()
+
+
+# --- a bench of three meters ------------------------------------------------------------------------
+
+
+def test_three_meters_take_long_readings_together() -> None:
+    """64 samples of 100 cycles, twice for autozero, take 256 s; the adapter waits 1 s at a time."""
+    bus = Bus()
+    with served(bus) as bench, ExitStack() as stack:
+        drivers = []
+        for channel, address in ADDRESSES.items():
+            wire = MessageSession(f"voltmeter.{channel}", resource(bench, address), timeout_s=5.0)
+            driver = Driver(wire.name, channel, wire, bus.world.clock, interface="gpib")
+            stack.callback(driver.close)
+            drivers.append(driver)
+        for driver in drivers:
+            assert driver.open().model == "34401A"
+            driver.configure(VoltmeterSettings(10.0, 100.0, 64))
+        assert len(bench.servers["adapter"]._clients) == 1
+        for turn in (1, 2):
+            bus.world.turn(np.radians(45.0 * turn), 1)
+            for driver in drivers:
+                driver.start()
+            samples = {}
+            for driver in drivers:
+                samples.update(driver.fetch())
+            for channel in ADDRESSES:
+                assert samples[channel] == pytest.approx([bus.world.signal_v(channel)] * 64, abs=1e-8)
+            assert bus.world.clock.now_s() == pytest.approx(turn * 64 * 4.0015, abs=0.1)
+        for meter in bus.meters.values():
+            assert meter.handle(b"SYST:ERR?") == NO_ERROR.encode()
+        assert bus.adapter.settings.auto == 0
+        assert bus.adapter.writes_to_memory == 0
+
+
+def test_threads_get_the_answers_of_their_own_instruments() -> None:
+    bus = Bus()
+    wrong: list[str] = []
+    with served(bus) as bench, ExitStack() as stack:
+        wires = {a: stack.enter_context(session(bench, a)) for a in ADDRESSES.values()}
+        for address, wire in wires.items():
+            wire.open()
+            wire.write(f"SAMP:COUN {address}")
+
+        def ask(address: int) -> None:
+            for _ in range(30):
+                reply = wires[address].query("SAMP:COUN?")
+                if reply != f"+{address}":
+                    wrong.append(reply)
+
+        threads = [threading.Thread(target=ask, args=(address,)) for address in wires]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert wrong == []
+
+
+def test_characters_that_mean_something_to_the_adapter_reach_the_instrument() -> None:
+    bus = Bus()
+    with served(bus) as bench, session(bench) as wire:
+        wire.open()
+        wire.write("DISP:TEXT '++A+B'")
+        assert wire.query("DISP:TEXT?") == '"++A+B"'
+
+
+def test_it_works_over_a_serial_port() -> None:
+    if not hasattr(os, "openpty"):
+        pytest.skip("this system has no pseudo-terminals")
+    bus = Bus()
+    with SimulatedBench(bus.world, {"adapter": bus.adapter}, with_terminals=True) as bench:
+        wire = MessageSession("meter", f"prologix://{bench.terminals['adapter'].path}/23", timeout_s=5.0)
+        wire.open()
+        assert wire.query("*IDN?") == IDENTITY
+        wire.close()
+
+
+# --- what goes wrong --------------------------------------------------------------------------------
+
+
+def test_a_reply_that_did_not_come_in_time_is_never_taken_for_another() -> None:
+    bus = Bus()
+    with served(bus) as bench, session(bench) as wire:
+        wire.open()
+        wire.write("VOLT:NPLC 100;:SAMP:COUN 100;:INIT")
+        with pytest.raises(InstrumentLost, match="did not respond in time at FETC"):
+            wire.query("FETC?", timeout_s=0.0)
+        assert wire.query("*IDN?") == IDENTITY
+        assert wire.query("SAMP:COUN?") == "+100"
+        assert wire.query("SYST:ERR?") == NO_ERROR
+
+
+def test_an_address_without_an_instrument_is_silent() -> None:
+    with served(Bus()) as bench, session(bench, 5, timeout_s=0.05) as wire:
+        wire.open()
+        with pytest.raises(InstrumentLost, match=r"/5 did not respond in time at \*IDN"):
+            wire.query("*IDN?")
+
+
+def test_a_link_that_broke_is_told_to_all_who_may_have_lost_a_command_with_it() -> None:
+    bus = Bus()
+    with served(bus) as bench, session(bench, 22) as x, session(bench, 23) as y:
+        x.open()
+        y.open()
+        before = y.connection
+        bench.servers["adapter"].drop_connections()
+        with pytest.raises(InstrumentLost, match="broke the connection"):
+            x.query("*IDN?")
+        assert x.query("*IDN?") == IDENTITY
+        with pytest.raises(InstrumentLost, match="lost the adapter's connection at FETC"):
+            y.query("FETC?")
+        assert y.query("*IDN?") == IDENTITY
+        assert y.connection != before
+        assert x.query("*IDN?") == IDENTITY
+
+
+def test_an_instrument_that_is_silent_costs_the_others_nothing() -> None:
+    with served(Bus()) as bench, session(bench, 5, timeout_s=0.05) as silent, session(bench, 23) as y:
+        silent.open()
+        y.open()
+        before = y.connection
+        with pytest.raises(InstrumentLost):
+            silent.query("*IDN?")
+        assert y.query("*IDN?") == IDENTITY
+        assert y.connection == before
+
+
+def test_settings_that_another_power_up_lost_are_made_again() -> None:
+    bus = Bus(settings=AdapterSettings(auto=1, eos=3, read_tmo_ms=1))
+    with served(bus) as bench, session(bench) as wire:
+        wire.open()
+        assert wire.query("*IDN?") == IDENTITY
+        bus.adapter.power_cycle()
+        assert bus.adapter.settings.auto == 1
+        bench.servers["adapter"].drop_connections()
+        with pytest.raises(InstrumentLost):
+            wire.query("*IDN?")
+        assert wire.query("*IDN?") == IDENTITY
+        assert bus.adapter.settings.auto == 0
+
+
+def test_what_is_no_adapter_is_refused() -> None:
+    bus = Bus()
+    meter = Agilent34401A(bus.world.terminals("x"), bus.world.clock)
+    with (
+        SimulatedBench(bus.world, {"adapter": meter}) as bench,
+        session(bench, timeout_s=0.2) as wire,
+        pytest.raises(InstrumentLost, match="did not answer as a GPIB adapter; check the adapter"),
+    ):
+        wire.open()
+
+
+def test_an_adapter_that_does_not_take_its_settings_is_refused() -> None:
+    class Stubborn(GpibAdapter):
+        def _command(self, name: str, arguments: list[str]) -> bytes | None:
+            return super()._command(name, [] if name == "auto" else arguments)
+
+    world = a_world()
+    with (
+        SimulatedBench(world, {"adapter": Stubborn(world.clock)}) as bench,
+        session(bench) as wire,
+        pytest.raises(InstrumentLost, match=r"answers 1 to \+\+auto, not 0"),
+    ):
+        wire.open()
+
+
+def test_a_compatible_adapter_is_not_told_to_write_its_memory() -> None:
+    bus = Bus(version="AR488 GPIB controller, ver. 0.53.03, 08/04/2025", settings=AdapterSettings(savecfg=0))
+    with served(bus) as bench, session(bench) as wire:
+        wire.open()
+        assert wire.query("*IDN?") == IDENTITY
+        assert bus.adapter.settings.savecfg == 0
+
+
+def test_closing_ends_a_long_wait_of_another_thread() -> None:
+    bus = Bus()
+    ended: list[BaseException] = []
+    with served(bus) as bench, session(bench, 5, timeout_s=0.2) as wire:
+        wire.open()
+        begun = threading.Event()
+
+        def wait() -> None:
+            begun.set()
+            try:
+                wire.query("*IDN?", timeout_s=3600.0)
+            except InstrumentLost as error:
+                ended.append(error)
+
+        thread = threading.Thread(target=wait)
+        thread.start()
+        begun.wait(5.0)
+        wire.close()
+        thread.join(10.0)
+    assert len(ended) == 1
+
+
+# --- the simulated adapter --------------------------------------------------------------------------
+
+
+def tell(bus: Bus, *lines: str | bytes) -> list[bytes]:
+    replies = [bus.adapter.handle(line.encode() if isinstance(line, str) else line) for line in lines]
+    return [reply for reply in replies if reply is not None]
+
+
+def quiet_bus() -> Bus:
+    bus = Bus(settings=AdapterSettings(addr=22, auto=0, eos=2))
+    for meter in bus.meters.values():
+        meter.status.clear()
+    return bus
+
+
+def errors(bus: Bus, channel: Channel = "x") -> str:
+    reply = bus.meters[channel].handle(b"SYST:ERR?")
+    assert reply is not None
+    return reply.decode()
+
+
+def test_settings_are_set_asked_and_bounded() -> None:
+    bus = quiet_bus()
+    assert tell(bus, "++read_tmo_ms 3000", "++read_tmo_ms", "++eos", "++mode") == [b"3000\r", b"2\r", b"1\r"]
+    wrong = ["++read_tmo_ms 3001", "++addr 31", "++eoi x", "++nothing"]
+    assert tell(bus, *wrong) == [UNRECOGNIZED] * 4
+    assert tell(bus, "++ver")[0].startswith(b"Prologix GPIB-ETHERNET")
+
+
+def test_a_read_gives_up_after_its_timeout_and_the_reply_comes_with_a_later_one() -> None:
+    bus = quiet_bus()
+    tell(bus, "++read_tmo_ms 3000", "VOLT:NPLC 100", "INIT", "FETC?")
+    clock = bus.world.clock
+    assert clock.now_s() == 0.0
+    assert tell(bus, "++spoll", "++read eoi") == [b"0\r"]
+    assert clock.now_s() == 3.0
+    (reply,) = tell(bus, "++read eoi")
+    assert float(reply) == pytest.approx(bus.world.signal_v("x"), abs=1e-8)
+    assert clock.now_s() == pytest.approx(4.0015)
+    assert errors(bus) == NO_ERROR
+
+
+def test_message_available_is_in_the_serial_poll() -> None:
+    bus = quiet_bus()
+    assert tell(bus, "++spoll", "*IDN?", "++spoll", "++read", "++spoll") == [
+        b"0\r",
+        b"16\r",
+        IDENTITY.encode(),
+        b"0\r",
+    ]
+    assert tell(bus, "*SRE 32;*ESE 32;NONSENSE", "++srq", "++spoll 22", "++spoll 23") == [
+        b"1\r",
+        b"96\r",
+        b"0\r",
+    ]
+
+
+def test_read_after_write_addresses_an_instrument_that_has_nothing_to_say() -> None:
+    bus = quiet_bus()
+    assert tell(bus, "++auto 1", "*IDN?", "*CLS") == [IDENTITY.encode()]
+    assert errors(bus) == '-420,"Query UNTERMINATED"'
+
+
+def test_a_command_before_the_reply_was_read_interrupts_it() -> None:
+    bus = quiet_bus()
+    assert tell(bus, "*IDN?", "FUNC?", "++read eoi") == [b'"VOLT"']
+    assert errors(bus) == '-410,"Query INTERRUPTED"'
+
+
+def test_device_clear_reaches_the_addressed_instrument_alone() -> None:
+    bus = quiet_bus()
+    tell(bus, "VOLT:NPLC 100", "READ?", "++addr 23", "*IDN?", "++addr 22", "++clr", "++spoll")
+    assert tell(bus, "*IDN?", "++read eoi") == [IDENTITY.encode()]
+    assert bus.world.clock.now_s() == 0.0
+    assert tell(bus, "++addr 23", "++read eoi") == [IDENTITY.encode()]
+
+
+def test_group_execute_trigger_starts_all_that_are_named_together() -> None:
+    bus = quiet_bus()
+    tell(bus, "++read_tmo_ms 3000")
+    for address in ADDRESSES.values():
+        tell(bus, f"++addr {address}", "TRIG:SOUR BUS", "INIT")
+    tell(bus, "++trg 22 23 24")
+    for channel, address in ADDRESSES.items():
+        (reply,) = tell(bus, f"++addr {address}", "FETC?", "++read eoi")
+        assert float(reply) == pytest.approx(bus.world.signal_v(channel), abs=1e-8)
+    assert bus.world.clock.now_s() == pytest.approx(0.4015)
+
+
+def test_remote_and_local() -> None:
+    bus = quiet_bus()
+    assert not bus.adapter.in_remote(22)
+    tell(bus, "*CLS", "++llo")
+    assert bus.adapter.in_remote(22)
+    tell(bus, "++loc")
+    assert not bus.adapter.in_remote(22)
+    assert not bus.adapter.in_remote(23)
+
+
+def test_without_terminator_and_eoi_a_message_goes_on_in_the_next_line() -> None:
+    bus = quiet_bus()
+    tell(bus, "++eos 3", "++eoi 0", "SAMP:COUN", " 5", "++eos 2", "")
+    assert tell(bus, "++spoll") == [b"0\r"]
+    tell(bus, "0")
+    assert tell(bus, "SAMP:COUN?", "++read eoi") == [b"+50"]
+
+
+def test_escaped_characters_are_data() -> None:
+    bus = quiet_bus()
+    tell(bus, b"SAMP:COUN \x1b+3\x1b", b"\x1b\x1b")
+    assert errors(bus).startswith("-101")
+    assert tell(bus, "SAMP:COUN?", "++read eoi") == [b"+3"]
+    assert tell(bus, b"\x1b+\x1b+addr 5", "++addr") == [b"22\r"]
+
+
+def test_the_end_of_a_message_is_marked_when_asked_for() -> None:
+    bus = quiet_bus()
+    assert tell(bus, "++eot_enable 1", "*IDN?", "++read eoi") == [IDENTITY.encode() + b"\n"]
+
+
+def test_settings_are_saved_while_savecfg_is_on() -> None:
+    bus = quiet_bus()
+    tell(bus, "++read_tmo_ms 500", "++savecfg 0", "++read_tmo_ms 900")
+    assert bus.adapter.writes_to_memory == 1
+    bus.adapter.power_cycle()
+    assert tell(bus, "++read_tmo_ms") == [b"500\r"]
+
+
+def test_an_address_is_one_instruments() -> None:
+    bus = quiet_bus()
+    with pytest.raises(ValueError, match="taken"):
+        bus.adapter.attach(22, bus._meter("x"))
+
+
+def test_the_library_s_own_adapter_support_works_on_it() -> None:
+    bus = Bus()
+    manager = pyvisa.ResourceManager("@py")
+    with served(bus) as bench:
+        port = bench.servers["adapter"].port
+        board = manager.open_resource(f"PRLGX-TCPIP::127.0.0.1::{port}::INTFC")
+        try:
+            meter = manager.open_resource("GPIB0::23::INSTR")
+            assert meter.query("*IDN?").strip() == IDENTITY  # type: ignore[attr-defined]
+            meter.close()
+        finally:
+            board.close()

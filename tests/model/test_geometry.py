@@ -1,0 +1,157 @@
+"""Geometry of the two installations against the paper's page and against rotations by scipy."""
+
+import numpy as np
+import pytest
+
+from bench.model import Block, Conditions, ForwardModel, Installation, stand_errors
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, axes_matrix, frame_rotation
+from tests.support.paper_bench import ARCSEC, specific_force
+
+PHI = np.radians(45.0) * np.arange(9)
+BLOCK = Block(np.eye(3), np.zeros(3))
+MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+
+
+def force(label, phi=PHI, alpha4=0.0, model=MODEL, **stand):
+    conditions = Conditions.of([label] * len(phi), phi)
+    return model.specific_force(conditions, stand_errors(**stand)[None, :], BLOCK, alpha4)
+
+
+def first_order(label, phi, a1, a2, a3, a4, a5=0.0):
+    """Paper (3) and (4) as printed, with +g, alpha2 beside alpha4, and the third mounting angle's c*a5."""
+    s, c = np.sin(phi), np.cos(phi)
+    across = a1 - a3 * s + a5 * c
+    if label == "1":
+        return np.stack([s + (a2 + a4) * c, across, c - (a2 + a4) * s], axis=1)
+    return np.stack([-s - (a2 + a4) * c, c - (a2 + a4) * s, across], axis=1)
+
+
+@pytest.mark.parametrize("label", ["1", "2"])
+def test_exact_model_is_the_papers_to_second_order(label):
+    """Halving all angles divides the difference to (3)/(4) by four: the first orders are the same."""
+    angles = np.array([0.031, -0.023, 0.042, 0.017, 0.011])
+
+    def gap(scale):
+        a1, a2, a3, a4, a5 = angles * scale
+        exact = force(label, alpha4=a4, axis_tilt=a1, zero_offset=a2, mounting_error=a3, mounting_roll=a5)
+        return np.abs(exact - first_order(label, PHI, a1, a2, a3, a4, a5)).max()
+
+    gaps = [gap(0.5**k) for k in range(5)]
+    assert gaps[0] > 1e-4
+    assert np.array(gaps[:-1]) / np.array(gaps[1:]) == pytest.approx([4.0] * 4, rel=0.05)
+
+
+@pytest.mark.parametrize("label", ["1", "2"])
+def test_exact_model_equals_rotations_by_scipy(label):
+    """Large angles, every one of the five: the same as turning the axes as vectors (support/paper_bench.py)."""
+    rng = np.random.default_rng(11)
+    for a1, a2, a3, a4, a5, a6 in rng.uniform(-0.5, 0.5, (20, 6)):
+        ours = force(
+            label,
+            alpha4=a4,
+            axis_tilt=a1,
+            zero_offset=a2,
+            mounting_error=a3,
+            mounting_offset=a6,
+            mounting_roll=a5,
+        )
+        theirs = specific_force([label] * 9, PHI, a1, a2 + a6, a3, a4, a5)
+        np.testing.assert_allclose(ours, theirs, atol=1e-14)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_rows_of_5_and_6_with_the_sign_of_alpha4(sign):
+    """Paper (5), (6): at 90 and 270 degrees a_z = -+alpha_a with alpha_a = alpha2 +- alpha4, a_y = a1 -+ a3.
+
+    With x up (5) or down (6); alpha_a is signed, and so small that the second order is below 1e-9.
+    """
+    a1, a2, a3, a4 = np.array([4.0, 5.0, 6.0, 10.0]) * ARCSEC
+    alpha_a = a2 + sign * a4
+    rows = force("1", alpha4=sign * a4, axis_tilt=a1, zero_offset=a2, mounting_error=a3)
+    np.testing.assert_allclose(rows[2], [1.0, a1 - a3, -alpha_a], atol=1e-8)
+    np.testing.assert_allclose(rows[6], [-1.0, a1 + a3, alpha_a], atol=1e-8)
+    exact_5 = [
+        np.cos(alpha_a) * np.cos(a1) * np.cos(a3) + np.sin(a1) * np.sin(a3),
+        -np.sin(alpha_a) * np.cos(a1),
+    ]
+    np.testing.assert_allclose(rows[2][[0, 2]], exact_5, atol=1e-15)
+
+
+def test_what_each_installation_has_up():
+    """Fig. 2 of the paper: at 0, 90, 180, 270 degrees the axes z, x, -z, -x and y, -x, -y, x are up."""
+    quarter = PHI[[0, 2, 4, 6]]
+    up_1 = [[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0]]
+    up_2 = [[0, 1, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0]]
+    np.testing.assert_allclose(force("1", quarter), up_1, atol=1e-15)
+    np.testing.assert_allclose(force("2", quarter), up_2, atol=1e-15)
+
+
+def test_installation_matrices_are_the_names_of_the_axes():
+    np.testing.assert_array_equal(INSTALLATION_1.block_from_platform, np.eye(3))
+    np.testing.assert_array_equal(INSTALLATION_2.block_from_platform, [[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
+    np.testing.assert_array_equal(axes_matrix(("+y", "-x", "z")), [[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    "axes", [("x", "z", "y"), ("-x", "y", "z"), ("x", "y"), ("x", "x", "y"), ("x", "y", "z", "z")]
+)
+def test_axes_that_are_not_right_handed_are_refused(axes):
+    with pytest.raises(ValueError, match="right-handed"):
+        axes_matrix(axes)
+
+
+@pytest.mark.parametrize("name", ["w", "--x", "", "xy"])
+def test_a_name_that_is_no_axis_is_refused(name):
+    with pytest.raises(ValueError, match="an axis is"):
+        axes_matrix((name, "y", "z"))
+
+
+def test_the_modulus_is_one_whatever_the_angles():
+    rng = np.random.default_rng(5)
+    for angles in rng.uniform(-1, 1, (10, 6)):
+        names = ("axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll")
+        a = force("2", rng.uniform(-7, 7, 30), angles[5], **dict(zip(names, angles[:5], strict=True)))
+        np.testing.assert_allclose(np.linalg.norm(a, axis=1), 1.0, atol=1e-15)
+
+
+def test_a_verification_installation_is_turned_by_psi_about_z():
+    """Turned by psi about the platform's z: x and y share s as cos and -sin, z keeps c."""
+    psi = np.radians(30.0)
+    turned = Installation.from_axes("V", ("x", "y", "z"), psi)
+    a = force("V", model=ForwardModel({"V": turned}))
+    s, c = np.sin(PHI), np.cos(PHI)
+    np.testing.assert_allclose(a, np.stack([s * np.cos(psi), -s * np.sin(psi), c], axis=1), atol=1e-15)
+    np.testing.assert_allclose(a, specific_force(["V"] * 9, PHI, psi=psi), atol=1e-15)
+
+
+def test_turned_about_another_axis():
+    """About x by 90 degrees, block y lies along platform z."""
+    turned = Installation.from_axes("V", ("x", "y", "z"), np.pi / 2, "x")
+    a = force("V", np.zeros(1), model=ForwardModel({"V": turned}))
+    np.testing.assert_allclose(a, [[0.0, 1.0, 0.0]], atol=1e-15)
+
+
+def test_mounting_angles():
+    """A turn about the shaft adds to alpha2; the third angle adds c*alpha5 across and nothing in the plane."""
+    np.testing.assert_array_equal(force("1", mounting_offset=3e-4), force("1", zero_offset=3e-4))
+    a5 = 1e-5
+    np.testing.assert_allclose(
+        (force("1", mounting_roll=a5) - force("1"))[:, 1], a5 * np.cos(PHI), rtol=1e-8, atol=1e-16
+    )
+    assert np.abs((force("1", mounting_roll=a5) - force("1"))[:, [0, 2]]).max() < a5**2
+
+
+def test_names_that_are_not_known_are_refused():
+    with pytest.raises(KeyError, match="alpha9"):
+        stand_errors(alpha9=1.0)
+    with pytest.raises(ValueError, match="'w'"):
+        frame_rotation("w", 0.1)
+
+
+def test_stand_angles_belong_to_their_mounting():
+    """Two mountings in one table: each row takes the angles of its own."""
+    conditions = Conditions.of(["1", "2", "1"], np.full(3, np.pi / 2), series=[1, 1, 2])
+    stand = np.stack([stand_errors(axis_tilt=t) for t in (1e-4, 2e-4, 3e-4)])
+    a = MODEL.specific_force(conditions, stand, BLOCK)
+    np.testing.assert_allclose([a[0, 1], a[1, 2], a[2, 1]], [1e-4, 2e-4, 3e-4], rtol=1e-7)
+    assert [str(m) for m in conditions.mounts] == ["1", "2", "1/2"]

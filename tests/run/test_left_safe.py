@@ -1,0 +1,89 @@
+"""Every way out of a run leaves the simulated bench safe: chamber in standby, head still."""
+
+import contextlib
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.assembly.served import dry_bench
+from bench.model import ForwardModel
+from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
+from bench.run.control import Control
+from bench.run.record import Record, read_history
+from bench.run.runner import RunAborted, Runner
+from bench.run.states import State, Wish
+from drivers.interfaces import BenchError
+from tests.support.composed_bench import edited
+
+NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
+STEPS = (
+    SetTemperature("1/temperature", 40.0),
+    Mount("2/mount", "1", 1),
+    Turn("3/turn", "1", 1, 1, 1, 0.5, 1),
+    Read("4/read", "1", 1, 1, 1, 0.5, 1, 2, 1.0),
+    Turn("5/turn", "1", 1, 1, 2, 1.0, 1),
+)
+
+
+class Trouble:
+    """Raises, or wishes, when the runner listens for the fourth time: the head has turned, a reading is due."""
+
+    def __init__(self, what):
+        self.what = what
+        self.times = 0
+
+    def poll(self):
+        self.times += 1
+        if self.times != 4 or self.what is None:
+            return None
+        if isinstance(self.what, Control):
+            return self.what
+        raise self.what
+
+
+@pytest.mark.parametrize(
+    ("trouble", "state"),
+    [
+        (None, State.FINISHED),
+        (KeyboardInterrupt(), State.INTERRUPTED),
+        (BenchError("voltmeter.x", "it smokes", "pull the plug"), State.FAILED),
+        (Control(Wish.ABORT, "wrong block"), State.ABORTED),
+    ],
+    ids=lambda value: getattr(value, "name", None),
+)
+def test_every_way_out_leaves_the_bench_safe(tmp_path, monkeypatch, trouble, state):
+    served = {}
+    monkeypatch.setattr("bench.assembly.served.SimulatedBench", _remembering(served))
+    bench = edited(tmp_path, "bench-motorised")
+    record = Record.create(tmp_path / "run", {}, {}, lambda: NOON)
+    with dry_bench(bench, ForwardModel(bench.installation_models()), seed=1) as assembly:
+        runner = Runner(
+            Plan("p", STEPS, ""),
+            assembly.instruments,
+            assembly.person,
+            assembly.clock,
+            record,
+            bench.voltmeter_range_v,
+            observers=assembly.observers,
+            controls=Trouble(trouble),
+        )
+        with contextlib.suppress(KeyboardInterrupt, BenchError, RunAborted):
+            runner.run()
+        world = served["bench"].world
+        assert world.head_rate_rad_s == 0.0
+        chamber = served["bench"].dialects["chamber"]
+        assert b"STANDBY" in (chamber.handle(b"MODE?", lambda: False) or b"")
+        assembly.clock.sleep(24 * 3600.0)
+        assert world.chamber_c == pytest.approx(world.settings.ambient_c, abs=0.1)
+    record.close()
+    assert read_history(tmp_path / "run").state is state
+
+
+def _remembering(served):
+    from sim.bench import SimulatedBench
+
+    def make(*arguments, **options):
+        served["bench"] = SimulatedBench(*arguments, **options)
+        return served["bench"]
+
+    return make

@@ -1,0 +1,140 @@
+"""Signals: held back while an event is written, heard once, real ones against a real process."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.run.folder import Run
+from bench.run.record import read_history
+from bench.run.signals import Interrupts
+
+LONG = """\
+procedure: long
+title: Many passes
+reading: {samples: 10, nplc: 10, settle: 10 s}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - repeat: {times: 40, steps: [turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}]}
+"""
+
+
+def test_a_signal_within_the_shield_is_heard_at_its_end():
+    done = []
+    with Interrupts() as interrupts, pytest.raises(KeyboardInterrupt):  # noqa: PT012
+        with interrupts.shield():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("whole")
+        done.append("not reached")
+    assert done == ["whole"]
+
+
+def test_sigterm_is_heard_like_ctrl_c_and_a_second_signal_does_not_cut_the_way_out(capsys):
+    with Interrupts():
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)
+    assert "left safe" in capsys.readouterr().err
+
+
+def test_the_handlers_are_given_back():
+    before = signal.getsignal(signal.SIGINT)
+    with Interrupts():
+        assert signal.getsignal(signal.SIGINT) != before
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
+    """The moment is whenever the signal comes; the wire and the disk are real."""
+    (tmp_path / "long.yaml").write_text(LONG)
+    command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [*command, "run", "long.yaml", "--dry-run", "--name", "hit"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    events = Path(tmp_path / "runs/hit/events.jsonl")
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and not (events.exists() and events.stat().st_size > 20_000):
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    history = read_history(tmp_path / "runs/hit")
+    assert history.problems == ()
+    assert len(Run(tmp_path / "runs/hit").readings()) >= 5
+    if number == signal.SIGKILL:
+        assert history.state == "running"
+    else:
+        assert process.returncode == 2
+        assert history.state == "interrupted"
+        assert "readings are kept in runs/hit; go on with 'bench resume hit'" in err
+        assert "Traceback" not in err
+
+
+def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
+    """Three SIGKILLs, each while the run is under way; the readings are those of an undisturbed run."""
+    (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 12"))
+    command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
+
+    def begin(*arguments):
+        return subprocess.Popen(  # noqa: S603 - our own program
+            [*command, *arguments], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+
+    begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "whole").wait(timeout=60)
+    whole = Run(tmp_path / "runs/whole").readings()
+    events = tmp_path / "runs/hit/events.jsonl"
+    process = begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "hit")
+    for size in (20_000, 60_000, 110_000):
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and not (events.exists() and events.stat().st_size > size):
+            time.sleep(0.005)
+        process.kill()
+        process.wait(timeout=30)
+        process = begin("resume", "hit")
+    process.wait(timeout=60)
+    run = Run(tmp_path / "runs/hit")
+    assert run.history.state == "finished"
+    steps = [e.data["step"] for e in run.history.events if "reading" in e.data]
+    assert len(steps) == len(set(steps)) == len(whole)
+    for column in ("signal", "angle_rad", "time_s"):
+        assert np.array_equal(getattr(run.readings(), column), getattr(whole, column))
+
+
+def test_a_run_is_paused_and_aborted_from_another_program(tmp_path):
+    (tmp_path / "long.yaml").write_text(LONG)
+    command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
+    options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen([*command, "run", "long.yaml", "--dry-run", "--name", "hit"], **options)  # noqa: S603
+    events = Path(tmp_path / "runs/hit/events.jsonl")
+
+    def wait_for(text):
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and not (events.exists() and text in events.read_text()):
+            time.sleep(0.01)
+
+    wait_for("step_done")
+    say = [*command, "control", "hit"]
+    assert subprocess.run([*say, "pause"], **options, check=False).returncode == 0  # noqa: S603
+    wait_for("run_paused")
+    size = events.stat().st_size
+    assert subprocess.run([*say, "skip"], **options, check=False).returncode == 2  # noqa: S603
+    assert events.stat().st_size == size
+    subprocess.run([*say, "abort", "wrong block"], **options, check=True)  # noqa: S603
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert "aborted: wrong block" in err
+    assert read_history(tmp_path / "runs/hit").state == "aborted"
+    late = subprocess.run([*say, "pause"], **options, check=False)  # noqa: S603
+    assert late.returncode == 2
+    assert "nobody is carrying out this run" in late.stderr

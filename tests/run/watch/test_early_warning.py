@@ -1,0 +1,277 @@
+"""Early warning: a good run is silent; each classic mistake is seen where it happens, and named."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bench.model import CATALOGUE, AppliedEffect, ForwardModel, Installation
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.run.watch.early_warning import EarlyWarning
+from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
+
+PSI = np.pi / 4
+MODEL = ForwardModel(
+    {
+        "1": INSTALLATION_1,
+        "2": INSTALLATION_2,
+        "V": Installation.from_axes("V", ("x", "y", "z"), PSI, "z"),
+    }
+)
+NOMINAL = (-2.18, -2.14, -2.14)
+BENCH_U = STAND_U | {"setting_error": SETTING_U_RAD, "voltmeter_error": 1e-4}
+N = 58
+
+
+def plan():
+    """Labels, passes, points and angles of the paper's procedure with its verification points."""
+    installation, pass_number, point, phi = design(3)
+    return (
+        [*installation, *"VVVV"],
+        [*pass_number, 1, 1, 1, 1],
+        [*point, 1, 2, 3, 4],
+        np.concatenate([phi, np.radians([45.0, 135.0, 225.0, 315.0])]),
+    )
+
+
+def run_of(seed, noise_v=1e-4, *, actual=None, off_rad=0.0, wired=None):
+    """Rows of a run as its events hold them, by geometry that is not the application's.
+
+    `actual` gives the labels where the block really sat, `off_rad` (58,) what the head was off, `wired`
+    changes the signals (58, 3).
+    """
+    rng = np.random.default_rng(seed)
+    stated, pass_number, point, phi = plan()
+    sizes = [STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")]
+    drawn = {label: rng.normal(0.0, sizes) for label in "12V"}
+    tilt, offset, yaw = np.array([drawn[label] for label in stated]).T
+    angle = phi + rng.normal(0.0, SETTING_U_RAD, N) + off_rad
+    labels = np.array(actual or stated)
+    turned = [specific_force(labels.tolist(), angle, tilt, offset, yaw, psi=psi) for psi in (0.0, PSI)]
+    force = np.where((labels == "V")[:, None], turned[1], turned[0])
+    signal = force @ K.T + U0 + rng.normal(0.0, noise_v, (N, 3))
+    if wired is not None:
+        signal = wired(signal)
+    return [
+        {
+            "installation": stated[k],
+            "series": 1,
+            "pass": pass_number[k],
+            "point": point[k],
+            "angle_deg": float(np.degrees(phi[k])),
+            "direction": 1,
+            "time_s": 130.0 * k,
+            "temperature_c": 23.0,
+            "mean": signal[k].tolist(),
+        }
+        for k in range(N)
+    ]
+
+
+def watch(rows, watcher=None):
+    """Return the warnings with the number of the reading (from 1) that raised each."""
+    watcher = watcher or EarlyWarning(NOMINAL, MODEL, BENCH_U)
+    return [(number, sign) for number, row in enumerate(rows, start=1) for sign in watcher.take(row)]
+
+
+def at(number, off_rad):
+    """An angle by which one reading alone (from 1) is off."""
+    return np.where(np.arange(1, N + 1) == number, off_rad, 0.0)
+
+
+def channels(order, signs=(1, 1, 1)):
+    return lambda signal: signal[:, order] * signs
+
+
+@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 300), (2e-5, 100)])
+def test_good_runs_are_silent(noise_v, runs):
+    """No more alarms than 1 % of runs would give but once in a thousand times."""
+    alarms = sum(bool(watch(run_of([7, k], noise_v))) for k in range(runs))
+    assert alarms <= stats.binom.ppf(0.999, runs, 0.01)
+
+
+def test_noise_as_large_as_stated_is_found_to_be_so():
+    """36 repeats and the 12 degrees of freedom of what is stated: within 4 sigma of 1 and at least 1."""
+    watcher = EarlyWarning(NOMINAL, MODEL, BENCH_U)
+    assert not watch(run_of(4), watcher)
+    found = watcher.noise
+    assert 1e-4 <= found.reading_v < 1.5e-4
+    assert found.setting_rad < 2.5 * SETTING_U_RAD
+
+
+@pytest.mark.parametrize(
+    ("order", "cause"),
+    [
+        ([1, 0, 2], "channels x and y are swapped"),
+        ([2, 1, 0], "channels x and z are swapped"),
+        ([0, 2, 1], "channels y and z are swapped"),
+        ([1, 2, 0], "x shows y, y shows z, z shows x"),
+        ([2, 0, 1], "x shows z, y shows x, z shows y"),
+    ],
+)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_swapped_channels_are_seen_by_point_3_and_named(order, cause, seed):
+    signs = watch(run_of(seed, wired=channels(order)))
+    assert signs[0][0] <= 3
+    third = next(sign for number, sign in signs if number == 3)
+    assert cause in third.causes[0]
+    assert len(third.causes) == 1
+
+
+@pytest.mark.parametrize(("channel", "seen"), [("x", 2), ("y", 28), ("z", 1)])
+def test_a_reversed_channel_is_seen_where_it_first_feels_gravity(channel, seen):
+    signs = watch(run_of(3, wired=channels([0, 1, 2], [-1 if c == channel else 1 for c in "xyz"])))
+    assert signs[0][0] == seen
+    assert signs[0][1].channels == (channel,)
+    assert f"channel {channel} is reversed" in signs[1][1].causes
+
+
+def test_a_head_that_counts_the_other_way_is_named_with_what_looks_the_same():
+    """In installation 1 no reading tells it from a reversed x."""
+    signs = watch(run_of(3, off_rad=-2 * plan()[3]))
+    assert signs[1][0] == 3
+    assert set(signs[1][1].causes) == {"the head counts the other way", "channel x is reversed"}
+
+
+@pytest.mark.parametrize(
+    ("stated", "actual", "by"), [("1", "2", 3), ("2", "1", 29), ("V", "1", 55), ("2", "V", 29)]
+)
+def test_a_wrong_installation_is_named(stated, actual, by):
+    labels = [actual if label == stated else label for label in plan()[0]]
+    signs = dict(watch(run_of(3, actual=labels)))
+    assert signs[by].causes == (f"the block sits in installation {actual}, not in {stated}",)
+
+
+def test_a_mount_that_slips_between_passes_is_seen_at_once_and_told_until_it_is_mended():
+    installation, pass_number, _, _ = plan()
+    slipped = np.array([i == "1" and p >= 2 for i, p in zip(installation, pass_number, strict=True)])
+    signs = watch(run_of(3, off_rad=np.where(slipped, np.radians(5 / 60), 0.0)))
+    assert [number for number, _ in signs] == list(range(10, 28))
+    assert [sign.in_a_row for _, sign in signs] == list(range(1, 19))
+    second = signs[1][1]
+    assert second.causes[0].startswith("the block has slipped in its mount")
+    assert "pass 2, point 1" in second.sentence
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("number", [6, 14, 32, 41])
+@pytest.mark.parametrize(("name", "off_deg"), [("1°", 1.0), ("1°", -1.0), ("10′", 1 / 6), ("10°", -10.0)])
+def test_one_wrong_setting_is_seen_and_named_and_spoils_nothing(number, name, off_deg, seed):
+    signs = watch(run_of(seed, off_rad=at(number, np.radians(off_deg))))
+    assert [seen for seen, _ in signs] == [number]
+    assert f"the setting is {name} off" in signs[0][1].causes[0]
+
+
+@pytest.mark.parametrize("off_deg", [1 / 60, -1 / 60])
+def test_one_minute_is_seen_once_the_block_is_known(off_deg):
+    """0.62 mV over a u of 0.12 mV: 5 sigma, of which the noise of the seed takes little."""
+    signs = watch(run_of(8, 1e-5, off_rad=at(47, np.radians(off_deg))))
+    assert [seen for seen, _ in signs] == [47]
+    assert any("1′ off" in cause for cause in signs[0][1].causes)
+
+
+def test_a_setting_that_was_wrong_before_the_model_could_know_is_found_afterwards():
+    signs = watch(run_of(3, off_rad=at(2, np.radians(1.0))))
+    number, sign = signs[-1]
+    assert number <= 6
+    assert sign.at_fault == "installation 1, pass 1, point 2 at 45°00′00″"
+    assert "the setting is 1° off: the head stood at 46°00′00″" in sign.causes
+
+
+def test_one_channel_that_is_off_once_is_named():
+    def wired(signal):
+        signal[20, 2] += 5e-3
+        return signal
+
+    ((number, sign),) = watch(run_of(2, wired=wired))
+    assert number == 21
+    assert sign.channels == ("z",)
+    assert sign.sigma[2] > 20
+    assert any("channel z alone is off by +" in cause for cause in sign.causes)
+
+
+def test_a_bench_that_is_noisier_than_stated_is_told_so_and_then_learnt():
+    watcher = EarlyWarning(NOMINAL, MODEL, BENCH_U)
+    signs = watch(run_of(1, 1e-3), watcher)
+    assert watcher.noise.reading_v == pytest.approx(1e-3, rel=0.4)
+    told = [sign for _, sign in signs if "the bench is noisier than its file states" in sign.causes]
+    assert len(told) == 1
+    assert "where the bench file states 0.10 mV" in told[0].sentence
+    assert sum(number > 27 for number, _ in signs) <= 2
+
+
+def test_a_reading_taken_again_takes_the_place_of_the_wrong_one():
+    wrong, right = run_of(3, off_rad=at(14, np.radians(1.0))), run_of(3)
+    watcher = EarlyWarning(NOMINAL, MODEL, BENCH_U)
+    assert len(watch(wrong[:14], watcher)) == 1
+    assert not watch([right[13], *right[14:]], watcher)
+
+
+def test_a_swap_that_is_mended_and_taken_again_leaves_no_trace():
+    wrong, right = run_of(3, wired=channels([2, 1, 0])), run_of(3)
+    watcher = EarlyWarning(NOMINAL, MODEL, BENCH_U)
+    assert watch(wrong[:3], watcher)
+    signs = watch(right, watcher)
+    assert not [number for number, _ in signs if number > 3]
+
+
+def test_a_mount_that_the_rows_do_not_show_can_be_told():
+    """After a resume the block sits 100″ otherwise in the same installation: within the stand's limits."""
+    off = np.where(np.arange(N) >= 9, np.radians(100 / 3600), 0.0)[:27]
+    rows = run_of(3, 2e-5, off_rad=np.concatenate([off, np.zeros(N - 27)]))
+    stand_u = BENCH_U | {"mounting_offset": np.radians(90 / 3600)}
+    assert watch(rows, EarlyWarning(NOMINAL, MODEL, stand_u))
+    watcher = EarlyWarning(NOMINAL, MODEL, stand_u)
+    assert not watch(rows[:9], watcher)
+    watcher.remounted()
+    assert not watch(rows[9:], watcher)
+
+
+def test_temperature_may_change_the_block_by_what_is_plausible():
+    """40 K: 4 mV of bias and 0.4 % of scale factor, in a second series."""
+    cold = run_of(1)
+    warm = [
+        row
+        | {
+            "series": 2,
+            "temperature_c": 63.0,
+            "time_s": row["time_s"] + 9000.0,
+            "mean": (np.array(row["mean"]) * 1.004 + 4e-3).tolist(),
+        }
+        for row in run_of(2)
+    ]
+    assert not watch([*cold, *warm], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
+    for row in warm:
+        row["temperature_c"] = 23.0
+    assert watch([*cold, *warm], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
+
+
+def test_effects_of_the_model_are_expected():
+    K2 = np.array([1e-3, -2e-3, 1e-3])
+    effect = AppliedEffect(CATALOGUE["quadratic_nonlinearity"], {"K2": K2})
+    bent = ForwardModel(MODEL.installations, (effect,))
+    rows = run_of(5)
+    for row in rows:
+        force = np.linalg.solve(K, np.array(row["mean"]) - U0)
+        row["mean"] = (np.array(row["mean"]) + np.diag(K) * K2 * force**2).tolist()
+    assert not watch(rows, EarlyWarning(NOMINAL, bent, BENCH_U))
+    assert watch(rows)
+
+
+def test_rows_without_orientation_are_passed_over_and_what_is_unknown_is_no_obstacle():
+    rows = run_of(6)
+    shorted = rows[0] | {"installation": "S", "angle_deg": None, "mean": [0.0, 0.0, 0.0]}
+    free = rows[0] | {"installation": "F", "mean": [0.0, 0.0, 0.0]}
+    bare = [row | {"time_s": None, "temperature_c": None, "direction": 0} for row in rows]
+    assert not watch([shorted, free, *bare, shorted])
+
+
+def test_a_warning_can_be_recorded_and_read():
+    ((_, sign),) = watch(run_of(1, off_rad=at(15, np.radians(1.0))))
+    recorded = json.loads(json.dumps(sign.to_json(), allow_nan=False))
+    assert recorded["channels"] == ["x", "z"]
+    assert recorded["place"] == "installation 1, pass 2, point 6 at 225°00′00″"
+    assert sign.sentence.startswith(f"{sign.place}: channel x is +2")
+    assert sign.sentence.endswith("probable cause: the setting is 1° off: the head stood at 226°00′00″")
+    assert sign.p < 1e-6

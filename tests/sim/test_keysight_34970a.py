@@ -1,0 +1,273 @@
+"""The simulated 34970A: channel lists, scanning in time, memory, reading formats; its driver over a socket."""
+
+import numpy as np
+import pytest
+
+from bench.model import Block, Distribution, ForwardModel
+from bench.model.geometry import INSTALLATION_1
+from drivers.interfaces import VoltmeterSettings
+from drivers.keysight_34970a.driver import Keysight34970A as Driver
+from drivers.wire.visa import MessageSession
+from sim.bench import SimulatedBench
+from sim.keysight_34970a.multiplexer import Keysight34970A
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings, keyed_generator
+
+NO_ERROR = '+0,"No error"'
+XYZ = "(@101:103)"
+
+
+class Ramp:
+    """A voltage that shows when it was sampled: `offset_v` and 1 mV for each second."""
+
+    temperature_c = 23.0
+
+    def __init__(self, clock: VirtualClock, offset_v: float) -> None:
+        self.clock = clock
+        self.offset_v = offset_v
+        self.readings = 0
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        return self.offset_v + 1e-3 * (self.clock.now_s() if time_s is None else time_s)
+
+    def new_reading(self) -> None:
+        self.readings += 1
+
+    def random(self, purpose: str) -> np.random.Generator:
+        return keyed_generator(3, purpose, self.offset_v, self.readings)
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        return keyed_generator(3, purpose, self.offset_v)
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    return VirtualClock()
+
+
+@pytest.fixture
+def meter(clock: VirtualClock) -> Keysight34970A:
+    return a_meter(clock)
+
+
+def a_meter(clock: VirtualClock, noise: bool = False, **options: object) -> Keysight34970A:
+    wiring = {101: Ramp(clock, 1.0), 102: Ramp(clock, 2.0), 103: Ramp(clock, 3.0)}
+    return Keysight34970A(wiring, clock, noise=noise, **options)  # type: ignore[arg-type]
+
+
+def say(meter: Keysight34970A, message: str) -> str | None:
+    reply = meter.handle(message.encode())
+    return None if reply is None else reply.decode()
+
+
+def ask(meter: Keysight34970A, message: str) -> str:
+    reply = say(meter, message)
+    assert reply is not None, f"no reply to {message}: {say(meter, 'SYST:ERR?')}"
+    return reply
+
+
+def volts(meter: Keysight34970A, message: str) -> list[float]:
+    return [float(text) for text in ask(meter, message).split(",")]
+
+
+# --- settings ---------------------------------------------------------------------------------------
+
+
+def test_configure_presets_its_channels_and_makes_them_the_scan_list(meter: Keysight34970A) -> None:
+    say(meter, f"CONF:VOLT:DC 10,{XYZ};:VOLT:NPLC 100,{XYZ};:INP:IMP:AUTO ON,{XYZ};:ROUT:CHAN:DEL 1,{XYZ}")
+    say(meter, "FORM:READ:TIME ON;:TRIG:COUN 4")
+    say(meter, "CONF:VOLT:DC 1,(@102,101)")
+    assert ask(meter, "ROUT:SCAN?") == "#210(@101,102)"
+    assert ask(meter, f"VOLT:DC:RANG? {XYZ}") == "+1.00000000E+00,+1.00000000E+00,+1.00000000E+01"
+    assert ask(meter, f"VOLT:DC:NPLC? {XYZ}") == "+1.00000000E+00,+1.00000000E+00,+1.00000000E+02"
+    assert ask(meter, f"INP:IMP:AUTO? {XYZ}") == "0,0,1"
+    assert ask(meter, f"ROUT:CHAN:DEL:AUTO? {XYZ}") == "1,1,0"
+    assert ask(meter, "FORM:READ:TIME?;:TRIG:COUN?") == "0;+1.00000000E+00"
+    assert ask(meter, "SYST:ERR?") == NO_ERROR
+
+
+def test_the_scan_list_is_scanned_in_rising_order_each_channel_once(meter: Keysight34970A) -> None:
+    say(meter, "ROUT:SCAN (@103,101,102,101)")
+    assert ask(meter, "ROUT:SCAN?;SCAN:SIZE?") == "#214(@101,102,103);+3"
+    say(meter, "ROUT:SCAN (@)")
+    assert ask(meter, "ROUT:SCAN?") == "#13(@)"
+
+
+def test_settings_without_a_list_are_those_of_the_scan_list(meter: Keysight34970A) -> None:
+    say(meter, "ROUT:SCAN (@101,102);:VOLT:DC:NPLC 20")
+    assert ask(meter, f"VOLT:DC:NPLC? {XYZ}") == "+2.00000000E+01,+2.00000000E+01,+1.00000000E+00"
+
+
+@pytest.mark.parametrize(
+    ("command", "error"),
+    [
+        ("ROUT:SCAN (@201)", '+302,"No module was detected in this slot"'),
+        ("ROUT:SCAN (@123)", '+304,"Does not exist"'),
+        ("ROUT:SCAN (@101:140)", '+304,"Does not exist"'),
+        ("ROUT:SCAN 101", '+309,"Incorrectly formatted channel list"'),
+        ("ROUT:SCAN (@1x1)", '+309,"Incorrectly formatted channel list"'),
+        ("CONF:VOLT:DC 10", '-109,"Missing parameter"'),
+        (f"CONF:VOLT:DC 301,{XYZ}", '-222,"Data out of range"'),
+        (f"CONF:VOLT:DC 10,1E-9,{XYZ}", '+532,"Cannot achieve requested resolution"'),
+        (f"ROUT:CHAN:DEL 61,{XYZ}", '-222,"Data out of range"'),
+        ("VOLT:DC:NPLC 1", '+305,"Not able to perform requested operation"'),
+        ("INIT", '+305,"Not able to perform requested operation"'),
+        ("FETC?", '-230,"Data stale"'),
+        ("SYST:CTYP? 400", '-222,"Data out of range"'),
+    ],
+)
+def test_mistakes(meter: Keysight34970A, command: str, error: str) -> None:
+    assert say(meter, command) is None
+    assert ask(meter, "SYST:ERR?") == error
+
+
+def test_cards(clock: VirtualClock) -> None:
+    meter = a_meter(clock, cards={100: "34901A", 300: "34901A"})
+    assert ask(meter, "SYST:CTYP? 100") == "HEWLETT-PACKARD,34901A,0,2.3"
+    assert ask(meter, "SYST:CTYP? 200") == "HEWLETT-PACKARD,0,0,0"
+    with pytest.raises(ValueError, match="not on the cards"):
+        Keysight34970A({201: Ramp(clock, 0.0)}, clock)
+
+
+def test_relays_open_and_close_and_reset_opens_them(meter: Keysight34970A) -> None:
+    say(meter, "ROUT:CLOS (@101,103)")
+    assert ask(meter, f"ROUT:CLOS? {XYZ};OPEN? {XYZ}") == "1,0,1;0,1,0"
+    say(meter, "*RST")
+    assert ask(meter, f"ROUT:CLOS? {XYZ}") == "0,0,0"
+
+
+# --- scanning ---------------------------------------------------------------------------------------
+
+
+def test_channels_are_sampled_one_after_another(meter: Keysight34970A, clock: VirtualClock) -> None:
+    """Relay 4 ms, delay 100 ms, 10 cycles at 50 Hz read in their middle, then as long again for the zero."""
+    say(meter, f"CONF:VOLT:DC 10,{XYZ};:VOLT:DC:NPLC 10,{XYZ};:ROUT:CHAN:DEL 0.1,{XYZ};:TRIG:COUN 2")
+    say(meter, "INIT")
+    assert clock.now_s() == 0.0
+    readings = volts(meter, "FETC?")
+    times_s = [(v - offset) * 1e3 for v, offset in zip(readings, [1, 2, 3, 1, 2, 3], strict=True)]
+    assert times_s == pytest.approx([0.204 + i * 0.504 for i in range(6)], abs=2e-5)
+    assert clock.now_s() == pytest.approx(6 * 0.504)
+    assert ask(meter, "FETC?;:DATA:POIN?").endswith(";+6")
+
+
+def test_an_open_input_reads_zero(meter: Keysight34970A) -> None:
+    assert volts(meter, "MEAS:VOLT:DC? 10,(@104)") == [0.0]
+
+
+def test_read_does_not_store(meter: Keysight34970A) -> None:
+    say(meter, f"CONF:VOLT:DC 10,{XYZ}")
+    assert len(volts(meter, "READ?")) == 3
+    assert say(meter, "FETC?") is None
+
+
+def test_readings_carry_what_the_format_asks_for(meter: Keysight34970A) -> None:
+    say(meter, "CONF:VOLT:DC 10,(@103);:FORM:READ:UNIT ON;TIME ON;CHAN ON;ALAR ON")
+    assert ask(meter, "READ?") == "+3.00001600E+00 VDC,000000000.016,103,0"
+
+
+def test_readings_are_taken_out_of_memory_oldest_first(meter: Keysight34970A) -> None:
+    say(meter, f"CONF:VOLT:DC 10,{XYZ};:TRIG:COUN 2;:INIT")
+    first = volts(meter, "DATA:REM? 2")
+    assert [round(v) for v in first] == [1, 2]
+    assert ask(meter, "DATA:POIN?") == "+4"
+    assert say(meter, "DATA:REM? 5") is None
+    assert ask(meter, "SYST:ERR?").startswith("-222")
+
+
+def test_bus_trigger_sweeps_once_each(meter: Keysight34970A) -> None:
+    say(meter, f"CONF:VOLT:DC 10,{XYZ};:TRIG:SOUR BUS;COUN 2;:INIT")
+    say(meter, "*TRG")
+    assert ask(meter, "DATA:POIN?") == "+3"
+    say(meter, "*TRG")
+    assert ask(meter, "DATA:POIN?") == "+6"
+    say(meter, "*TRG")
+    assert ask(meter, "SYST:ERR?") == '-211,"Trigger ignored"'
+
+
+def test_timer_spaces_the_sweeps(meter: Keysight34970A, clock: VirtualClock) -> None:
+    readings = None
+    say(meter, "CONF:VOLT:DC 10,(@101);:TRIG:SOUR TIM;TIM 10;COUN 3;:INIT")
+    readings = volts(meter, "FETC?")
+    assert np.diff(readings) == pytest.approx([0.01, 0.01], abs=1e-8)
+
+
+def test_a_scan_under_way_is_not_started_again_and_can_be_aborted(
+    meter: Keysight34970A, clock: VirtualClock
+) -> None:
+    say(meter, f"CONF:VOLT:DC 10,{XYZ};:INIT;:INIT")
+    say(meter, "ABOR")
+    assert clock.now_s() == 0.0
+    assert ask(meter, "SYST:ERR?") == '-213,"Init ignored"'
+    assert say(meter, "FETC?") is None
+
+
+def test_overload(meter: Keysight34970A) -> None:
+    say(meter, f"CONF:VOLT:DC 1,{XYZ}")
+    assert volts(meter, "READ?")[1:] == [9.9e37, 9.9e37]
+    assert ask(meter, "STAT:QUES?") == "+1"
+    assert ask(meter, "SYST:ERR?") == NO_ERROR
+
+
+def test_gain_and_offset_are_the_meters_and_noise_is_each_readings(clock: VirtualClock) -> None:
+    same = Ramp(clock, 5.0)
+    wiring = {101: same, 102: same}
+    exact = Keysight34970A(wiring, clock, noise=False, accuracy="90 days")
+    errors_v = [
+        v - 5.0 - 1e-3 * 0.0 for v in volts(exact, "CONF:VOLT:DC 10,(@101,102);:VOLT:NPLC 0.02;:READ?")
+    ]
+    assert errors_v[0] == pytest.approx(errors_v[1], abs=2e-5)
+    assert 1e-6 < abs(errors_v[0]) < 2e-4
+    noisy = a_meter(clock, noise=True)
+    say(noisy, "CONF:VOLT:DC 10,(@101);:VOLT:NPLC 1;:TRIG:COUN 200")
+    assert 5e-6 < np.std(np.diff(volts(noisy, "READ?")) - 1e-3 * 0.046) < 5e-5
+
+
+# --- identity, interface ----------------------------------------------------------------------------
+
+
+def test_identities(clock: VirtualClock) -> None:
+    assert ask(a_meter(clock), "*IDN?") == "HEWLETT-PACKARD,34970A,0,13-2-2"
+    assert ask(a_meter(clock, model="34972A"), "*IDN?").startswith("Agilent Technologies,34972A,MY")
+
+
+def test_rs232_wants_remote_first(clock: VirtualClock) -> None:
+    meter = a_meter(clock, interface="rs232")
+    assert say(meter, "READ?") is None
+    assert ask(meter, "SYST:ERR?") == '+550,"Command not allowed in local"'
+    say(meter, f"SYST:REM;:CONF:VOLT:DC 10,{XYZ}")
+    assert len(volts(meter, "READ?")) == 3
+
+
+# --- the driver over a socket -----------------------------------------------------------------------
+
+
+def test_the_driver_reads_the_worlds_three_signals() -> None:
+    block = Block(
+        np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
+        np.array([0.07, -0.2, -0.41]),
+    )
+    world = World(
+        WorldSettings(
+            block, ForwardModel({"1": INSTALLATION_1}), {"setting_error": Distribution(4.8e-5)}, seed=5
+        ),
+        VirtualClock(),
+    )
+    channels = {"x": 103, "y": 101, "z": 102}
+    wiring = {number: world.terminals(signal) for signal, number in channels.items()}  # type: ignore[arg-type]
+    meter = Keysight34970A(wiring, world.clock, noise=False)
+    with SimulatedBench(world, {"voltmeter": meter}) as bench:
+        session = MessageSession("voltmeter", bench.resources["voltmeter"], timeout_s=5.0)
+        driver = Driver("voltmeter", channels, session, world.clock)  # type: ignore[arg-type]
+        try:
+            assert driver.open().model == "34970A"
+            driver.configure(VoltmeterSettings(10.0, 100.0, 4))
+            world.turn(np.radians(45.0), 1)
+            driver.start()
+            samples = driver.fetch()
+            assert driver.channels == tuple(samples) == ("y", "z", "x")
+            for channel, values in samples.items():
+                assert values == pytest.approx([world.signal_v(channel)] * 4, abs=1e-8)
+            assert world.clock.now_s() == pytest.approx(4 * 3 * (0.104 + 4.0))
+        finally:
+            driver.close()

@@ -1,0 +1,214 @@
+"""The simulated instruments on a pseudo-terminal, alone and beside TCP."""
+
+import os
+import select
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvisa
+
+from bench.model import Block, ForwardModel
+from bench.model.geometry import INSTALLATION_1
+from drivers.agilent_34401a.driver import Agilent34401A as Driver
+from drivers.clock import SystemClock
+from drivers.interfaces import VoltmeterSettings
+from drivers.wire.visa import MessageSession
+from sim.agilent_34401a.meter import Agilent34401A
+from sim.bench import SimulatedBench, SimulatedMeter
+from sim.wires.pty import TERMINALS, TerminalServer
+from sim.wires.session import Instrument
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings
+
+pytestmark = pytest.mark.skipif(not TERMINALS, reason="this system has no pseudo-terminals")
+
+IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2"
+BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
+
+
+def a_world() -> World:
+    return World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), VirtualClock())
+
+
+class Client:
+    """A program that opens the terminal as a file."""
+
+    def __init__(self, path: str) -> None:
+        self.descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+
+    def __enter__(self) -> "Client":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self.descriptor)
+
+    def write(self, data: bytes) -> None:
+        os.write(self.descriptor, data)
+
+    def read_line(self, tolerance_s: float = 5.0) -> bytes:
+        data = b""
+        while not data.endswith(b"\n"):
+            if not select.select([self.descriptor], [], [], tolerance_s)[0]:
+                raise TimeoutError(f"only {data!r} came")
+            data += os.read(self.descriptor, 4096)
+        return data
+
+    def ask(self, message: bytes) -> bytes:
+        self.write(message)
+        return self.read_line()
+
+
+@contextmanager
+def one_meter(interface: str = "lan") -> Iterator[tuple[SimulatedBench, str]]:
+    meter = SimulatedMeter("x", noise=False, interface=interface)  # type: ignore[arg-type]
+    with SimulatedBench(a_world(), {"v": meter}, with_terminals=True) as bench:
+        yield bench, bench.terminals["v"].path
+
+
+def open_descriptors() -> int:
+    return len(list(Path("/dev/fd").iterdir()))
+
+
+def test_replies_end_in_cr_lf_on_the_terminal_and_in_lf_on_tcp() -> None:
+    with one_meter() as (bench, path), Client(path) as client:
+        assert client.ask(b"*IDN?\n") == IDENTITY + b"\r\n"
+        assert client.ask(b"*IDN?\r\n") == IDENTITY + b"\r\n"
+        with socket.create_connection(("127.0.0.1", bench.servers["v"].port)) as tcp:
+            tcp.sendall(b"*IDN?\r\n")
+            assert tcp.makefile("rb").readline() == IDENTITY + b"\n"
+
+
+def test_it_survives_clients_that_leave() -> None:
+    with one_meter() as (_, path):
+        for leaving in (b"", b"VOLT:NPLC 1;*OPC?\n", b"VOLT:RA"):
+            with Client(path) as client:
+                client.write(leaving)
+        with Client(path) as client:
+            assert client.read_line() == b"1\r\n"  # what nobody took still stands there, as in a serial port
+            client.write(b"\x03")
+            assert client.ask(b"VOLT:NPLC?;:SYST:ERR?\n") == b'+1.000000E+00;+0,"No error"\r\n'
+
+
+def test_the_instrument_does_not_hear_itself() -> None:
+    with one_meter() as (_, path), Client(path) as client:
+        for _ in range(20):
+            assert client.ask(b"*IDN?\n") == IDENTITY + b"\r\n"
+        assert client.ask(b"SYST:ERR?\n") == b'+0,"No error"\r\n'
+
+
+def test_control_c_is_device_clear() -> None:
+    with one_meter() as (_, path), Client(path) as client:
+        client.write(b"TRIG:SOUR BUS;:INIT\n")
+        client.write(b"\x03*TRG\n")
+        assert client.ask(b"SYST:ERR?\n") == b'-211,"Trigger ignored"\r\n'
+
+
+def test_a_reply_that_nobody_reads_is_given_up_at_a_device_clear() -> None:
+    with one_meter() as (_, path), Client(path) as client:
+        # 12 memories of 8 kB are more than any terminal buffers.
+        client.write(b"SAMP:COUN 512;:VOLT:NPLC 0.02;:INIT\n" + b"FETC?\n" * 12)
+        time.sleep(0.1)
+        client.write(b"\x03")
+        while select.select([client.descriptor], [], [], 0.3)[0]:
+            os.read(client.descriptor, 65536)
+        assert client.ask(b"*IDN?\n") == IDENTITY + b"\r\n"
+
+
+def test_tcp_and_terminal_share_one_instrument_and_keep_their_own_replies() -> None:
+    answers: dict[str, list[bytes]] = {"tcp": [], "pty": []}
+    with one_meter() as (bench, path), Client(path) as client:
+        tcp = socket.create_connection(("127.0.0.1", bench.servers["v"].port), timeout=5.0)
+        lines = tcp.makefile("rb")
+
+        def talk_tcp() -> None:
+            for _ in range(100):
+                tcp.sendall(b"*IDN?\n")
+                answers["tcp"].append(lines.readline())
+
+        def talk_pty() -> None:
+            for _ in range(100):
+                answers["pty"].append(client.ask(b"VOLT:NPLC?\n"))
+
+        threads = [threading.Thread(target=talk) for talk in (talk_tcp, talk_pty)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        client.write(b"VOLT:NPLC 100;*OPC?\n")
+        assert client.read_line() == b"1\r\n"
+        tcp.sendall(b"VOLT:NPLC?\n")
+        assert lines.readline() == b"+1.000000E+02\n"
+        lines.close()
+        tcp.close()
+    assert set(answers["tcp"]) == {IDENTITY + b"\n"}
+    assert set(answers["pty"]) == {b"+1.000000E+01\r\n"}
+
+
+@pytest.mark.parametrize("interface", ["lan", "rs232"])
+def test_the_driver_measures_over_the_terminal(interface: str) -> None:
+    with one_meter(interface) as (bench, _):
+        session = MessageSession("v", bench.terminals["v"].resource, read_termination="\n")
+        driver = Driver("v", "x", session, SystemClock(), interface=interface)  # type: ignore[arg-type]
+        driver.open()
+        driver.configure(VoltmeterSettings(10.0, 10.0, 4))
+        for angle_rad in (0.0, 0.7):
+            bench.world.turn(angle_rad, 1)
+            driver.start()
+            expected = [bench.world.signal_v("x")] * 4
+            assert driver.fetch()["x"] == pytest.approx(expected, abs=1e-8)
+        driver.close()
+
+
+def test_pyvisa_py_with_a_serial_meters_settings() -> None:
+    with one_meter() as (bench, _):
+        visa = pyvisa.ResourceManager("@py").open_resource(
+            bench.terminals["v"].resource,
+            read_termination="\r\n",
+            write_termination="\n",
+            baud_rate=9600,
+            stop_bits=pyvisa.constants.StopBits.two,
+        )
+        assert visa.query("*IDN?") == IDENTITY.decode()  # type: ignore[attr-defined]
+        visa.close()
+
+
+def test_no_descriptor_is_left_over_and_it_starts_again() -> None:
+    dialect = Agilent34401A(a_world().terminals("x"), VirtualClock())
+    before = open_descriptors()
+    server = TerminalServer(Instrument(dialect))
+    for _ in range(3):
+        with server, Client(server.path) as client:
+            assert client.ask(b"*IDN?\n") == IDENTITY + b"\r\n"
+            server.drop_connections()
+            assert client.ask(b"*IDN?\n") == IDENTITY + b"\r\n"
+    assert open_descriptors() == before
+
+
+def test_a_wire_that_is_dead_and_lives_again() -> None:
+    with one_meter() as (bench, path), Client(path) as client:
+        bench.terminals["v"].refuse()
+        client.write(b"VOLT:NPLC 1\n*IDN?\n")
+        with pytest.raises(TimeoutError):
+            client.read_line(0.2)
+        bench.terminals["v"].accept_again()
+        assert client.ask(b"VOLT:NPLC?\n") == b"+1.000000E+01\r\n"
+
+
+def test_without_the_modules_of_a_terminal_everything_still_imports() -> None:
+    """As on Windows: neither `pty` nor `tty` nor `termios`, and no `os.openpty`."""
+    program = (
+        "import os, sys\n"
+        "for name in ('pty', 'tty', 'termios', 'fcntl'): sys.modules[name] = None\n"
+        "del os.openpty\n"
+        "import sim.bench, sim.wires.pty, sim.wires.control\n"
+        "assert not sim.wires.pty.TERMINALS\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)  # noqa: S603 - our own program

@@ -1,0 +1,306 @@
+"""The simulated bench over real sockets: framing, several clients, faults, shared virtual time."""
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import pyvisa
+
+from bench.model import Block, Conditions, Distribution, ForwardModel, stand_errors
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from sim.bench import SimulatedBench, SimulatedMeter
+from sim.wires.server import TcpServer
+from sim.wires.session import DROP, REFUSE, SILENCE, Framer, Overflow, WireFault
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings
+
+BLOCK = Block(
+    np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
+    np.array([0.07, -0.2, -0.41]),
+)
+MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+METERS = {f"voltmeter.{c}": SimulatedMeter(c, noise=False) for c in ("x", "y", "z")}
+IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2\n"
+
+
+def a_world(stand: dict[str, Distribution] | None = None) -> World:
+    return World(WorldSettings(BLOCK, MODEL, stand or {}, 5), VirtualClock())
+
+
+class Client:
+    """A raw socket that reads lines; `tolerance_s` is how long it waits for one that may not come."""
+
+    def __init__(self, port: int, tolerance_s: float = 5.0) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=tolerance_s)
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.file = self.socket.makefile("rb")
+
+    def __enter__(self) -> "Client":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.file.close()
+        self.socket.close()
+
+    def write(self, message: bytes) -> None:
+        self.socket.sendall(message)
+
+    def ask(self, message: bytes) -> bytes:
+        self.write(message)
+        return self.file.readline()
+
+
+@contextmanager
+def a_bench(world: World | None = None) -> Iterator[SimulatedBench]:
+    with SimulatedBench(world or a_world(), METERS) as bench:
+        yield bench
+
+
+@contextmanager
+def one_meter(
+    fault: Callable[[bytes, bytes | None], WireFault | None] | None = None, tolerance_s: float = 5.0
+) -> Iterator[tuple[TcpServer, Client]]:
+    with SimulatedBench(a_world(), {"v": SimulatedMeter("x", noise=False)}) as bench:
+        server = bench.servers["v"]
+        if fault is not None:
+            server.fault = fault
+        with Client(server.port, tolerance_s) as client:
+            yield server, client
+
+
+# --- framing ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chunks", "messages"),
+    [
+        ([b"*IDN?\n"], [b"*IDN?"]),
+        ([b"*IDN?\r\n"], [b"*IDN?"]),
+        ([b"A\nB\r\n", b"C"], [b"A", b"B"]),
+        ([b"RE", b"AD", b"?\n"], [b"READ?"]),
+        ([b"READ?\nINI\x03*CLS\n"], [b"\x03", b"*CLS"]),
+        ([b"x" * 70000 + b"\nOK\n"], [Overflow, b"OK"]),
+        ([b"x" * 70000, b"x\nOK\n"], [Overflow, b"OK"]),
+    ],
+)
+def test_framing(chunks: list[bytes], messages: list[object]) -> None:
+    framer = Framer()
+    taken: list[object] = []
+    for chunk in chunks:
+        framer.feed(chunk)
+        while (message := framer.take()) is not None:
+            taken.append(Overflow if isinstance(message, Overflow) else message)
+    assert taken == messages
+
+
+# --- the wire ---------------------------------------------------------------------------------------
+
+
+def test_replies_end_in_lf_and_every_terminator_is_taken() -> None:
+    with one_meter() as (_, client):
+        assert client.ask(b"*IDN?\n") == IDENTITY
+        assert client.ask(b"*IDN?\r\n") == IDENTITY
+        assert client.ask(b"*CLS\n:FUNC?;*OPC?\n") == b'"VOLT";1\n'
+
+
+def test_readings_are_the_forward_models_to_1e_8() -> None:
+    world = a_world({"axis_tilt": Distribution(2.4e-5), "setting_error": Distribution(4.8e-5)})
+    with a_bench(world) as bench:
+        for installation, angle_rad in (("1", 0.0), ("1", 0.785398), ("2", 2.5), ("2", 6.283185)):
+            world.mount(installation)
+            world.turn(angle_rad, 1)
+            expected = MODEL.readings(
+                BLOCK,
+                Conditions.of([installation], [angle_rad]),
+                world.stand_rad[np.newaxis, :],
+                world.true_angle_rad - angle_rad,
+            )[0]
+            assert not np.array_equal(world.stand_rad, stand_errors())
+            for signal_v, name in zip(expected, METERS, strict=True):
+                with Client(bench.servers[name].port) as client:
+                    reading_v = float(client.ask(b"CONF:VOLT:DC 10;:READ?\n"))
+                assert reading_v == pytest.approx(signal_v, abs=0.51e-8)
+
+
+def test_two_clients_at_once_share_one_instrument_and_keep_their_own_replies() -> None:
+    answers: dict[str, list[bytes]] = {"a": [], "b": []}
+    with one_meter() as (server, _), Client(server.port) as a, Client(server.port) as b:
+
+        def talk(name: str, client: Client, question: bytes) -> None:
+            for _ in range(200):
+                answers[name].append(client.ask(question))
+
+        threads = [
+            threading.Thread(target=talk, args=("a", a, b"*IDN?\n")),
+            threading.Thread(target=talk, args=("b", b, b"VOLT:NPLC?\n")),
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        a.write(b"VOLT:NPLC 100\n")
+        assert a.ask(b"*OPC?\n") == b"1\n"
+        assert b.ask(b"VOLT:NPLC?\n") == b"+1.000000E+02\n"
+    assert set(answers["a"]) == {IDENTITY}
+    assert set(answers["b"]) == {b"+1.000000E+01\n"}
+
+
+def test_control_c_is_device_clear() -> None:
+    with one_meter() as (_, client):
+        client.write(b"TRIG:SOUR BUS;:INIT\n")
+        client.write(b"\x03*TRG\n")
+        assert client.ask(b"SYST:ERR?\n") == b'-211,"Trigger ignored"\n'
+
+
+def test_control_c_ends_a_long_reading_on_a_clock_that_takes_its_time() -> None:
+    entered = threading.Event()
+
+    class Slow:
+        """A clock on which nothing ends by itself."""
+
+        def now_s(self) -> float:
+            return 0.0
+
+        def sleep(self, _duration_s: float) -> None:
+            entered.set()
+            threading.Event().wait(0.001)
+
+    world = World(WorldSettings(BLOCK, MODEL, {}, 5), Slow())
+    with (
+        SimulatedBench(world, {"v": SimulatedMeter("x")}) as bench,
+        Client(bench.servers["v"].port) as client,
+    ):
+        client.write(b"VOLT:NPLC 100;:READ?\n")
+        assert entered.wait(5.0)
+        client.write(b"\x03")
+        assert client.ask(b"*IDN?\n") == IDENTITY
+
+
+def test_a_client_that_leaves_in_mid_message_harms_nobody() -> None:
+    with one_meter() as (server, client):
+        for leaving in (b"", b"VOLT:NPLC 1", b"READ?\n", b"\x00\xff\n\n"):
+            with Client(server.port) as other:
+                other.write(leaving)
+        assert client.ask(b"VOLT:NPLC?\n") == b"+1.000000E+01\n"
+
+
+def test_stopping_closes_connections_and_frees_the_port() -> None:
+    with one_meter() as (server, client):
+        client.ask(b"*IDN?\n")
+        server.stop()
+        assert client.file.read() == b""
+        with pytest.raises(ConnectionRefusedError):
+            Client(server.port)
+        server.start()
+        with Client(server.port) as again:
+            assert again.ask(b"*IDN?\n") == IDENTITY
+
+
+# --- shared virtual time ----------------------------------------------------------------------------
+
+
+def test_meters_started_together_sample_together_and_time_passes_once() -> None:
+    with a_bench() as bench:
+        clients = [Client(server.port) for server in bench.servers.values()]
+        clock = bench.world.clock
+        for client in clients:
+            assert client.ask(b"CONF:VOLT:DC 10;:SAMP:COUN 10;*OPC?\n") == b"1\n"
+        for round_number in range(1, 21):
+            for client in clients:
+                client.write(b"INIT\n")
+            for client in clients:
+                assert client.ask(b"FETC?\n").count(b",") == 9
+            assert clock.now_s() == pytest.approx(round_number * 10 * 0.4015, abs=1e-9)
+        for client in clients:
+            client.__exit__()
+
+
+def test_the_clock_is_free_again_after_the_bench() -> None:
+    with a_bench() as bench:
+        clock = bench.world.clock
+    assert isinstance(clock, VirtualClock)
+    assert clock.before_advance is None
+
+
+# --- faults -----------------------------------------------------------------------------------------
+
+
+def on_reading(
+    fault: Callable[[bytes | None], WireFault],
+) -> Callable[[bytes, bytes | None], WireFault | None]:
+    return lambda request, reply: fault(reply) if request == b"READ?" else None
+
+
+def test_a_reply_cut_short() -> None:
+    with one_meter(on_reading(lambda reply: WireFault.cut(reply, 6)), tolerance_s=0.2) as (_, client):
+        client.write(b"READ?\n")
+        assert client.socket.recv(100) == b"+9.100"
+        assert client.ask(b"*IDN?\n") == IDENTITY
+
+
+def test_a_reply_garbled() -> None:
+    with one_meter(on_reading(WireFault.garble)) as (_, client):
+        reply = client.ask(b"READ?\n")
+        assert len(reply) == 16
+        assert reply.endswith(b"\n")
+        assert not any(character in b"0123456789+-." for character in reply[:-1])
+
+
+def test_silence() -> None:
+    with one_meter(on_reading(lambda _: SILENCE), tolerance_s=0.2) as (server, client):
+        client.write(b"READ?\n")
+        with pytest.raises(TimeoutError):
+            client.socket.recv(100)
+        with Client(server.port) as other:
+            assert other.ask(b"*IDN?\n") == IDENTITY
+
+
+def test_a_dropped_connection_can_be_made_again() -> None:
+    with one_meter(on_reading(lambda _: DROP)) as (server, client):
+        assert client.ask(b"READ?\n") == b""
+        with Client(server.port) as again:
+            assert again.ask(b"*IDN?\n") == IDENTITY
+
+
+def test_refusal_lasts_until_the_server_accepts_again() -> None:
+    with one_meter(on_reading(lambda _: REFUSE)) as (server, client):
+        assert client.ask(b"READ?\n") == b""
+        with pytest.raises(ConnectionRefusedError):
+            Client(server.port)
+        server.accept_again()
+        with Client(server.port) as again:
+            assert again.ask(b"*IDN?\n") == IDENTITY
+
+
+def test_a_fault_can_be_set_and_taken_away_while_serving() -> None:
+    with one_meter() as (server, client):
+        server.fault = lambda _request, _reply: WireFault(b"late and wrong\n")
+        assert client.ask(b"*IDN?\n") == b"late and wrong\n"
+        server.fault = None
+        assert client.ask(b"*IDN?\n") == IDENTITY
+        server.drop_connections()
+        assert client.file.readline() == b""
+
+
+# --- a stranger's client ----------------------------------------------------------------------------
+
+
+def test_pyvisa_py_client() -> None:
+    manager = pyvisa.ResourceManager("@py")
+    with a_bench() as bench:
+        resource = manager.open_resource(
+            bench.resources["voltmeter.y"], read_termination="\n", write_termination="\n"
+        )
+        assert isinstance(resource, pyvisa.resources.MessageBasedResource)
+        assert resource.query("*IDN?") == IDENTITY.decode().strip()
+        resource.write("CONF:VOLT:DC 10")
+        resource.write("SAMP:COUN 4")
+        resource.write("INIT")
+        bench.world.turn(0.0, 1)
+        values = resource.query_ascii_values("FETC?")
+        assert values == pytest.approx([bench.world.signal_v("y")] * 4, abs=1e-8)
+        assert resource.query("SYST:ERR?") == '+0,"No error"'
+        resource.close()

@@ -1,0 +1,185 @@
+"""The scripted operator: what is done to the world, what is answered, how long it takes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bench.model import Block, Distribution, ForwardModel
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from drivers.interfaces import NoAnswer, Prompt, PromptKind
+from drivers.manual.head import ManualHead
+from sim.world.clock import VirtualClock
+from sim.world.operator import ARCSEC_RAD, OperatorSettings, ScriptedOperator, scale_text
+from sim.world.world import World, WorldSettings
+
+NEVER_SLIPS = OperatorSettings(slip_probability=0.0)
+ALWAYS_SLIPS = OperatorSettings(slip_probability=1.0)
+EXACT = OperatorSettings(setting_deviation_rad=0.0, slip_probability=0.0)
+
+
+def a_world(seed: int = 11) -> World:
+    block = Block(-2.0 * np.eye(3), np.zeros(3))
+    model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+    stand = {"setting_error": Distribution(10 * ARCSEC_RAD, k=3)}
+    return World(WorldSettings(block, model, stand, seed), VirtualClock())
+
+
+def turn_prompt(prompt_id: str, target_rad: float, direction: int = 1) -> Prompt:
+    action = {"do": "turn", "target_rad": target_rad, "direction": direction}
+    return Prompt(prompt_id, PromptKind.ANGLE, "Turn the head", action=action)
+
+
+def arcsec_of(text: str) -> float:
+    degrees, minutes, seconds = text.removeprefix("-").split(" ")
+    total = int(degrees) * 3600 + int(minutes) * 60 + float(seconds)
+    return -total if text.startswith("-") else total
+
+
+def test_turns_the_head_near_the_target_and_answers_what_the_scale_shows() -> None:
+    world = a_world()
+    operator = ScriptedOperator(world, NEVER_SLIPS)
+    deviations = []
+    for i in range(300):
+        world.begin_step(f"{i}/turn")
+        answer = operator.ask(turn_prompt(f"{i}/turn#1", math.pi / 4, -1))
+        assert answer.prompt_id == f"{i}/turn#1"
+        assert arcsec_of(answer.text) * ARCSEC_RAD == pytest.approx(world.scale_angle_rad, abs=1e-12)
+        assert world.direction == -1
+        deviations.append(arcsec_of(answer.text) - 45 * 3600)
+    # Normal with sigma 2″ rounded to 1″: sqrt(4 + 1/12) = 2.02″; 300 draws know it to 4.1 %, bound 4 sigma.
+    assert np.std(deviations) == pytest.approx(2.02, rel=0.17)
+    assert abs(np.mean(deviations)) < 4 * 2.02 / math.sqrt(300)
+
+
+@pytest.mark.parametrize(
+    ("target_deg", "text"),
+    [(45.0, "45 00 00"), (0.0, "0 00 00"), (360.0, "360 00 00"), (22.5, "22 30 00"), (0.01, "0 00 36")],
+)
+def test_without_deviation_the_scale_shows_the_target(target_deg: float, text: str) -> None:
+    world = a_world()
+    answer = ScriptedOperator(world, EXACT).ask(turn_prompt("1/turn#1", math.radians(target_deg)))
+    assert answer.text == text
+    assert world.scale_angle_rad == pytest.approx(math.radians(target_deg), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("arcsec", "text"),
+    [
+        (162003, "45 00 03"), (1296002, "360 00 02"), (1295998, "359 59 58"), (-2, "-0 00 02"),
+        (0, "0 00 00"), (-0.0001, "0 00 00"), (59.5, "0 00 59.5"), (59.9999, "0 01 00"),
+        (3725.25, "1 02 05.25"),
+    ],
+)  # fmt: skip
+def test_scale_text(arcsec: float, text: str) -> None:
+    assert scale_text(arcsec) == text
+
+
+def test_full_turn_is_never_wrapped_and_zero_may_be_below() -> None:
+    operator = ScriptedOperator(a_world(), NEVER_SLIPS)
+    full = [arcsec_of(operator.ask(turn_prompt(f"{i}/a#1", math.tau)).text) for i in range(40)]
+    assert all(abs(value - 1296000) < 15 for value in full)
+    zero = [operator.ask(turn_prompt(f"{i}/b#1", 0.0)).text for i in range(40)]
+    assert any(text.startswith("-0 00 0") for text in zero)
+    assert all(abs(arcsec_of(text)) < 15 for text in zero)
+
+
+def test_a_slip_is_a_classic_one_and_the_head_stands_right() -> None:
+    world = a_world()
+    operator = ScriptedOperator(world, ALWAYS_SLIPS)
+    sizes = set()
+    for i in range(60):
+        text = operator.ask(turn_prompt(f"{i}/turn#1", 1.0)).text
+        assert abs(world.scale_angle_rad - 1.0) < 15 * ARCSEC_RAD
+        sizes.add(round(arcsec_of(text) - world.scale_angle_rad / ARCSEC_RAD))
+    assert sizes == {3600, -3600, 600, -600, 60, -60}
+
+
+def test_slips_are_as_frequent_as_stated() -> None:
+    # 400 readings at 10 %: 40 expected, sigma 6; bound 4 sigma.
+    world = a_world()
+    operator = ScriptedOperator(world, OperatorSettings(slip_probability=0.1))
+    slips = 0
+    for i in range(400):
+        text = operator.ask(turn_prompt(f"{i}/turn#1", 1.0)).text
+        slips += abs(arcsec_of(text) - world.scale_angle_rad / ARCSEC_RAD) > 30
+    assert 16 <= slips <= 64
+
+
+def test_asked_again_the_answer_is_right_and_the_head_is_not_turned_again() -> None:
+    world = a_world()
+    operator = ScriptedOperator(world, ALWAYS_SLIPS)
+    operator.ask(turn_prompt("7/turn#1", 1.0))
+    scale_rad, true_rad, now_s = world.scale_angle_rad, world.true_angle_rad, world.clock.now_s()
+    answer = operator.ask(turn_prompt("7/turn#2", 1.0))
+    assert arcsec_of(answer.text) * ARCSEC_RAD == pytest.approx(scale_rad, abs=1e-12)
+    assert (world.scale_angle_rad, world.true_angle_rad) == (scale_rad, true_rad)
+    assert world.clock.now_s() - now_s == pytest.approx(15.0)
+
+
+def test_the_manual_head_accepts_the_operator_after_a_slip() -> None:
+    world = a_world()
+    head = ManualHead("head", ScriptedOperator(world, ALWAYS_SLIPS), tolerance_rad=30 * ARCSEC_RAD)
+    for target_deg in (0.0, 45.0, 359.0, 360.0):
+        position = head.move(math.radians(target_deg), 1, f"{target_deg}/turn")
+        assert position.angle_rad == pytest.approx(world.scale_angle_rad, abs=1e-12)
+
+
+def test_numbers_belong_to_the_step_and_seed() -> None:
+    alone = ScriptedOperator(a_world())
+    busy = ScriptedOperator(a_world())
+    for i in range(5):
+        busy.ask(turn_prompt(f"{i}/turn#1", 0.3))
+    other_seed = ScriptedOperator(a_world(seed=12))
+    prompts = [turn_prompt(f"{i}/late#1", 2.0) for i in range(20)]
+    answers = [alone.ask(prompt).text for prompt in prompts]
+    assert [busy.ask(prompt).text for prompt in prompts] == answers
+    assert [other_seed.ask(prompt).text for prompt in prompts] != answers
+
+
+def test_time_passes_for_what_a_person_does() -> None:
+    world = a_world()
+    operator = ScriptedOperator(world, NEVER_SLIPS)
+    durations = []
+    for i in range(50):
+        begun_s = world.clock.now_s()
+        operator.ask(turn_prompt(f"{i}/turn#1", 1.0))
+        durations.append(world.clock.now_s() - begun_s)
+    assert min(durations) >= 60.0
+    assert max(durations) <= 180.0
+    assert len(set(durations)) == 50
+    begun_s = world.clock.now_s()
+    operator.ask(Prompt("m#1", PromptKind.CONFIRM, "Mount", action={"do": "mount", "installation": "2"}))
+    assert world.clock.now_s() - begun_s == pytest.approx(1200.0)
+
+
+def test_mounting_with_a_series() -> None:
+    world = a_world()
+    action = {"do": "mount", "installation": "2", "series": 3}
+    answer = ScriptedOperator(world).ask(Prompt("m#1", PromptKind.CONFIRM, "Mount", action=action))
+    assert (world.installation, world.series, answer.text) == ("2", 3, "yes")
+
+
+def test_chamber_and_thermometer() -> None:
+    world = a_world()
+    operator = ScriptedOperator(world)
+    operator.ask(Prompt("c#1", PromptKind.CONFIRM, "Set", action={"do": "set_temperature", "target_c": 60.0}))
+    assert world.chamber_c == 60.0
+    world.clock.sleep(750.0 - 30.0)
+    answer = operator.ask(Prompt("t#1", PromptKind.NUMBER, "Read", action={"do": "read_temperature"}))
+    assert float(answer.text) == pytest.approx(60.0 - 37.0 * math.exp(-1), abs=0.006)
+
+
+def test_other_questions_get_their_default_or_no_answer() -> None:
+    operator = ScriptedOperator(a_world())
+    wait = Prompt("w#1", PromptKind.CONFIRM, "Wait", default="yes", action={"do": "wait"})
+    assert operator.ask(wait).text == "yes"
+    with pytest.raises(
+        NoAnswer, match=r"no answer to 'Serial number\?', which wants an answer of kind 'number'"
+    ):
+        operator.ask(Prompt("q#1", PromptKind.NUMBER, "Serial number?"))
+
+
+def test_a_scale_without_steps_is_refused() -> None:
+    with pytest.raises(ValueError, match="resolution must be positive"):
+        OperatorSettings(resolution_rad=0.0)

@@ -1,0 +1,56 @@
+"""Dry runs of shipped bench files with changes of their text, put together and ready to be opened."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from bench.assembly.served import Assembly, dry_bench
+from bench.files.bench.file import BenchFile, load_bench
+from bench.files.shipped import find_bench
+from bench.model import ForwardModel
+from bench.run.workbench import Instruments
+from drivers.interfaces import VoltmeterSettings
+
+READING = VoltmeterSettings(10.0, 1.0, 3)
+
+Change = tuple[str, str]
+
+
+def edited(folder: Path, name: str, *changes: Change) -> BenchFile:
+    """Return a shipped bench with changes of its text; every change must apply."""
+    text = find_bench(name).read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "bench.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_bench(path)
+
+
+@contextmanager
+def composing(folder: Path) -> Iterator[Callable[..., tuple[BenchFile, Assembly]]]:
+    """Yield what returns an edited bench and its dry run's assembly; all are left safe at the end."""
+    with ExitStack() as stack:
+
+        def compose(name: str, *changes: Change) -> tuple[BenchFile, Assembly]:
+            bench = edited(folder, name, *changes)
+            model = ForwardModel(bench.installation_models())
+            assembly = stack.enter_context(dry_bench(bench, model, seed=1))
+            stack.callback(assembly.instruments.leave_safe)
+            return bench, assembly
+
+        yield compose
+
+
+def read(instruments: Instruments) -> np.ndarray:
+    """Return the mean of each signal, V."""
+    for meter in instruments.voltmeters:
+        meter.configure(READING)
+    for meter in instruments.voltmeters:
+        meter.start()
+    fetched: dict[str, tuple[float, ...]] = {}
+    for meter in instruments.voltmeters:
+        fetched |= meter.fetch()
+    return np.array([np.mean(fetched[channel]) for channel in "xyz"])

@@ -1,0 +1,62 @@
+"""A run for tests of effects: every condition that an effect may depend on varies in it.
+
+Two installations turned by PSI, so that all axes of the block feel gravity; a rising and a falling pass in
+each; the second pass is scanned in reverse. Forces come from support/paper_bench.py, not from the application.
+"""
+
+import numpy as np
+
+from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, ForwardModel, Installation
+from tests.support.paper_bench import ARCSEC, U0, K, specific_force
+
+PSI = 0.6
+BLOCK = Block(K, U0)
+KII = np.diag(K)
+INSTALLATIONS = {
+    "1": Installation.from_axes("1", ("x", "y", "z"), PSI),
+    "2": Installation.from_axes("2", ("-x", "z", "y"), PSI),
+}
+
+POINTS = np.array([0, 40, 95, 130, 180, 222, 275, 310, 360])
+LABELS = [label for label in "12" for _ in range(18)]
+SECOND = np.array(LABELS) == "2"
+PHI = np.radians(np.tile(np.concatenate([POINTS, POINTS[::-1]]), 2).astype(float))
+DIRECTION = np.tile(np.repeat([1, -1], 9), 2)
+TIME_S = 130.0 * np.arange(36) + 2400.0 * SECOND + 7.0 * np.sin(np.arange(36))
+WARMTH_K = 0.6 + 0.4 * np.sin(TIME_S / 1500.0)
+ORDER = np.where(DIRECTION[:, None] > 0, [0, 1, 2], [2, 1, 0])
+CONDITIONS = Conditions.of(
+    LABELS,
+    PHI,
+    direction=DIRECTION.tolist(),
+    time_s=TIME_S,
+    temperature_c=20.0 + WARMTH_K,
+    scan_order=ORDER,
+)
+# stand angles of the two mountings: alpha1, alpha2, alpha3, mounting offset, alpha5
+STAND = np.array([[3, -4, 70, 0, 20], [-2, 5, -60, 0, -30]]) * ARCSEC
+ALPHA4 = 4 * ARCSEC * np.cos(2.3 * np.arange(36))
+
+
+def force(phi=0.0, alpha1=0.0, alpha2=0.0, alpha3=0.0, alpha5=0.0):
+    """The force at the stand's angles, each larger by so much, rad."""
+    a1, a2, a3, _, a5 = STAND[SECOND.astype(int)].T
+    return specific_force(
+        LABELS, PHI + phi, a1 + alpha1, a2 + alpha2, a3 + alpha3, ALPHA4, alpha5=a5 + alpha5, psi=PSI
+    )
+
+
+def readings(*effects, conditions=CONDITIONS):
+    """What the application's model reads."""
+    return ForwardModel(INSTALLATIONS, effects).readings(BLOCK, conditions, STAND, ALPHA4)
+
+
+def effect(name, installations=(), **values):
+    values = {key: np.asarray(value, dtype=float) for key, value in values.items()}
+    return AppliedEffect(CATALOGUE[name], values, installations=installations)
+
+
+def added(name, installations=(), conditions=CONDITIONS, **values):
+    """What one effect adds to the readings of the application's model, V."""
+    one = effect(name, installations, **values)
+    return readings(one, conditions=conditions) - readings(conditions=conditions)

@@ -1,0 +1,153 @@
+"""Runs of the paper's procedure with mistakes and effects in them, from support/paper_bench.py's own geometry."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from bench.analysis.mistakes.search import find_mistakes
+from bench.model import ForwardModel, Installation
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.readings.table import make_readings
+from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
+
+PSI = np.radians(45)
+MODEL = ForwardModel(
+    {"1": INSTALLATION_1, "2": INSTALLATION_2, "V": Installation.from_axes("V", ("x", "y", "z"), PSI, "z")}
+)
+NOMINAL = np.array([-2.18, -2.14, -2.14])
+NOISE_V = 15e-6
+ORDERS = ((1, 0, 2), (2, 1, 0), (0, 2, 1), (1, 2, 0), (2, 0, 1))
+
+
+def run(seed, *, noise_v=NOISE_V, passes=3, off=None, stand=1.0, added=None, falling=(), known=True):
+    """A run of the paper's procedure with its four verification points at the end.
+
+    `off` (row, rad) is a wrong setting; `stand` enlarges the stand's errors; `added(labels, passes, phi, force,
+    slope)` returns what else is in the signals; passes in `falling` go down.
+    """
+    rng = np.random.default_rng(seed)
+    labels, numbers, points, phi = design(passes)
+    down = np.isin(numbers, falling)
+    phi = np.where(down, 2 * np.pi - phi, phi)
+    labels, numbers, points = labels + ["V"] * 4, numbers + [1] * 4, [*points, 1, 2, 3, 4]
+    phi = np.append(phi, np.radians([45, 135, 225, 315]))
+    mount = np.array([{"1": 0, "2": 1, "V": 2}[label] for label in labels])
+    sizes = [stand * STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")]
+    alpha = rng.normal(0, sizes, (3, 3))[mount].T
+    setting = rng.normal(0, SETTING_U_RAD, len(phi))
+    if off is not None:
+        setting[off[0]] += off[1]
+    psi = [0.0, 0.0, PSI]
+    force = np.zeros((len(phi), 3))
+    for number in range(3):
+        rows = mount == number
+        own = [label for label in labels if mount[labels.index(label)] == number]
+        errors = (a[rows] for a in alpha)
+        force[rows] = specific_force(own, phi[rows], *errors, setting[rows], psi=psi[number])
+    signal = force @ K.T + U0 + rng.normal(0, noise_v, (len(phi), 3))
+    readings = make_readings(
+        labels,
+        numbers,
+        points,
+        phi,
+        signal,
+        direction=np.append(np.where(down, -1, 1), [1] * 4).tolist() if known else None,
+    )
+    if added is not None:
+        h = 1e-4
+        slope = (specific_force(labels, phi + h) - specific_force(labels, phi - h)) @ K.T / (2 * h)
+        extra = added(np.array(labels), np.array(numbers), phi, force, slope)
+        readings = replace(readings, signal=signal + extra)
+    return readings
+
+
+def find(readings, **options):
+    return find_mistakes(readings, MODEL, STAND_U, NOMINAL, **options)
+
+
+def place(rng, readings, scope):
+    """A mask of rows, and the installations and the pass that name it."""
+    label, number = str(rng.integers(1, 3)), int(rng.integers(1, 4))
+    if scope == "run":
+        return np.ones(len(readings), dtype=bool), (), None
+    own = readings.installation == label
+    if scope == "installation":
+        return own, (label,), None
+    return own & (readings.pass_number == number), (label,), number
+
+
+def turned_back(readings, mask):
+    return replace(readings, angle_rad=np.where(mask, -readings.angle_rad, readings.angle_rad))
+
+
+def with_signal(readings, mask, change):
+    signal = readings.signal.copy()
+    signal[mask] = change(signal[mask])
+    return replace(readings, signal=signal)
+
+
+def keys(readings):
+    return list(
+        zip(
+            readings.installation.tolist(),
+            readings.pass_number.tolist(),
+            readings.point.tolist(),
+            strict=True,
+        )
+    )
+
+
+def outlier_v(readings, row, channel, sigma, noise_v):
+    """The shift of one signal that is so many standard deviations, the setting error being known in size."""
+    h = 1e-5
+    label, phi = [str(readings.installation[row])], readings.angle_rad[row : row + 1]
+    slope = ((specific_force(label, phi + h) - specific_force(label, phi - h)) @ K.T / (2 * h))[0]
+    covariance = noise_v**2 * np.eye(3) + SETTING_U_RAD**2 * np.outer(slope, slope)
+    return sigma / np.sqrt(np.linalg.inv(covariance)[channel, channel])
+
+
+def with_outlier(readings, row, channel, shift_v):
+    signal = readings.signal.copy()
+    signal[row, channel] += shift_v
+    return replace(readings, signal=signal)
+
+
+def warm_up(tau_min):
+    def added(_labels, _numbers, phi, _force, _slope):
+        minutes = 2.0 * np.arange(len(phi))
+        return 500e-6 * np.exp(-minutes / tau_min)[:, None] * np.diag(K)
+
+    return added
+
+
+def square(_labels, _numbers, _phi, force, _slope):
+    return 200e-6 * force**2 * np.diag(K) * [1, 0, 1]
+
+
+def eccentricity(_labels, _numbers, phi, _force, slope):
+    return 30 * ARCSEC * np.cos(phi - 1.0)[:, None] * slope
+
+
+def backlash(_labels, numbers, _phi, _force, slope):
+    return 100 * ARCSEC * np.where(numbers == 2, -1, 1)[:, None] * slope
+
+
+def graduation(_labels, _numbers, phi, _force, slope):
+    return 30 * ARCSEC * (np.abs(phi - np.radians(135)) < 0.1)[:, None] * slope
+
+
+def remounted(labels, _numbers, _phi, _force, _slope):
+    return 500e-6 * np.diag(K) * (labels == "2")[:, None]
+
+
+EFFECTS = {
+    "quadratic nonlinearity, 200 ug/g2": {"added": square},
+    "eccentricity, 30 arcsec": {"added": eccentricity},
+    "warm-up of 10 min, 500 ug": {"added": warm_up(10.0)},
+    "warm-up of 40 min, 500 ug": {"added": warm_up(40.0)},
+    "mounting error, 300 arcsec": {"stand": 10.0},
+    "backlash, 200 arcsec": {"added": backlash, "falling": (2,)},
+    "backlash, direction not known": {"added": backlash, "falling": (2,), "known": False},
+    "one scale mark, 30 arcsec": {"added": graduation},
+    "turn-on shift, 500 ug": {"added": remounted},
+}

@@ -1,0 +1,70 @@
+"""Stands for a message session in driver tests: expects (sent, answered) pairs in order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from drivers.interfaces import BadReading
+from drivers.wire.visa import SerialSettings
+
+Pairs = Sequence[tuple[str, str | BaseException | None]]
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.time_s = 0.0
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def sleep(self, duration_s: float) -> None:
+        self.time_s += duration_s
+
+
+class ScriptedSession:
+    """A reply of None has none; an exception is raised. A reply of another form ends the connection."""
+
+    resource = "TCPIP::192.0.2.5::9888::SOCKET"
+    timeout_s = 3.0
+    serial = SerialSettings()
+
+    def __init__(self, *parts: Pairs, clock: Clock | None = None) -> None:
+        self.name = "instrument"
+        self.left = [pair for part in parts for pair in part]
+        self.connection: int | None = None
+        self.made = 0
+        self.clock = clock or Clock()
+        self.sent_at_s: list[tuple[str, float]] = []
+
+    def _next(self, command: str) -> str | None:
+        assert self.left, f"{command} was sent when nothing was expected"
+        wanted, reply = self.left.pop(0)
+        assert command == wanted
+        self.open()
+        self.sent_at_s.append((command, self.clock.now_s()))
+        if isinstance(reply, BaseException):
+            self.connection = None
+            raise reply
+        return reply
+
+    def open(self) -> None:
+        if self.connection is None:
+            self.made += 1
+            self.connection = self.made
+
+    def write(self, command: str) -> None:
+        assert self._next(command) is None
+
+    def query(
+        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
+    ) -> str:
+        reply = self._next(command)
+        assert reply is not None, f"{command} has no reply"
+        if pattern is not None and re.fullmatch(pattern, reply) is None:
+            self.connection = None
+            raise BadReading(self.name, f"{reply} is not {expected}", "again")
+        return reply
+
+    def close(self) -> None:
+        self.connection = None

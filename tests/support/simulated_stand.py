@@ -1,0 +1,61 @@
+"""One simulated instrument on a real loopback socket, over a world on a virtual clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from bench.model import Block, Distribution, ForwardModel
+from bench.model.geometry import INSTALLATION_1
+from drivers.wire.visa import MessageSession
+from sim.wires.server import TcpServer
+from sim.wires.session import Dialect, FaultHook, Instrument
+from sim.wires.traffic import Traffic
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings
+
+BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
+
+
+def a_world(setting_error_rad: float = 0.0, seed: int = 3) -> World:
+    stand = {"setting_error": Distribution(setting_error_rad)} if setting_error_rad else {}
+    return World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), stand, seed), VirtualClock())
+
+
+@contextmanager
+def served(
+    dialect: Dialect,
+    name: str,
+    world: World,
+    *,
+    read_termination: str = "\n",
+    write_termination: str = "\n",
+    fault: FaultHook | None = None,
+    timeout_s: float = 2.0,
+    log: list[tuple[str, str]] | None = None,
+) -> Iterator[MessageSession]:
+    """Serve a dialect; yield the session that a driver talks through. `log` takes what is on the wire.
+
+    The world's clock waits, before it moves, until what is on the wire has been carried out.
+    """
+    clock = world.clock
+    assert isinstance(clock, VirtualClock)
+    traffic = Traffic()
+    clock.before_advance = traffic.settle
+    wire = None if log is None else lambda _, way, text: log.append((way, text))
+    with TcpServer(Instrument(dialect, traffic, fault)) as server:
+        session = MessageSession(
+            name,
+            server.resource,
+            timeout_s=timeout_s,
+            read_termination=read_termination,
+            write_termination=write_termination,
+            wire=wire,
+        )
+        try:
+            yield session
+        finally:
+            session.close()
+            clock.before_advance = None
