@@ -11,7 +11,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget import Setup, make_budget, stand_source
 from bench.analysis.calibration.result import CalibrationError
@@ -19,12 +18,11 @@ from bench.analysis.planning.goals import Goal, coefficient_goals, vector_goal
 from bench.analysis.planning.points import Points, Sites, Stand, best_within, cheapest
 from bench.analysis.planning.procedure_text import Times
 from bench.analysis.planning.settings import Setting, conditions_of, fitted, settings_of
+from bench.base.arrays import Floats
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import Distribution, ForwardModel, Mount
 from bench.procedure.load import load_procedure
-
-Floats = NDArray[np.float64]
 
 ANGLES = 24
 COUNTED = Times().cost(50.0, verified=False)

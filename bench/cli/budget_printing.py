@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -14,10 +13,9 @@ from bench.analysis.budget.assessment import Assessment
 from bench.analysis.budget.coefficients import Budget
 from bench.analysis.budget.exact import ExactResult
 from bench.analysis.budget.propagation import coverage_factor
+from bench.base.arrays import Floats
 from bench.cli import printing
 from bench.model.block import COEFFICIENTS
-
-Floats = NDArray[np.float64]
 
 
 def assessment(head: Mapping[str, Any], found: Assessment, out: Console | None = None) -> None:

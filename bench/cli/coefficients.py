@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.cli import CommandError
 from bench.model.block import COEFFICIENTS, Block
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from bench.analysis.planning.goals import (
@@ -23,6 +22,7 @@ from bench.analysis.planning.goals import (
 from bench.analysis.planning.points import Points, Sites, Stand, best_within, cheapest
 from bench.analysis.planning.procedure_text import VERIFICATION_DEG, Times, procedure_text
 from bench.analysis.planning.settings import Cost, fitted, settings_of
+from bench.base.arrays import Floats
 from bench.base.numbers import figures
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
 from bench.cli import CommandError, printing
@@ -36,8 +36,6 @@ from bench.procedure.check import check as check_against
 from bench.procedure.load import load_procedure
 from bench.readings.table import UNORIENTED, VERIFICATION
 from bench.run.terminal import duration
-
-Floats = NDArray[np.float64]
 
 MOST_ANGLES: Final = 72
 _COMPARED: Final = "paper"

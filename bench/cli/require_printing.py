@@ -9,8 +9,8 @@ from typing import Final
 from rich.table import Table
 
 from bench.analysis.budget import Source
-from bench.analysis.calibration.result import ARCSEC
 from bench.analysis.planning.requirements import Limit, Requirement
+from bench.base.arrays import ARCSEC
 from bench.base.numbers import figures
 from bench.cli import printing
 from bench.files.bench.file import BenchFile

@@ -14,16 +14,14 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import Field
 
+from bench.base.arrays import CHANNELS, Floats
 from bench.base.form_mistakes import Place, unknown_word
 from bench.base.forms import FileMistakes, FileModel, Mistake, load_validated
 from bench.base.units import Kind, parse_quantity
 from bench.model import CATALOGUE, AppliedEffect, Parameter
-from drivers.interfaces import CHANNELS, Channel
-
-Floats = NDArray[np.float64]
+from drivers.interfaces import Channel
 
 FORMAT: Final = "1"
 """Version of the format; a reader refuses any other."""

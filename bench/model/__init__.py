@@ -3,13 +3,12 @@
 from bench.model.block import Block
 from bench.model.conditions import REFERENCE_C, Conditions, Mount
 from bench.model.distribution import Distribution
-from bench.model.effects import CATALOGUE, CHANNELS, AppliedEffect, Effect, Parameter, Stage, Subsystem
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Stage, Subsystem
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Installation, stand_errors
 
 __all__ = [
     "CATALOGUE",
-    "CHANNELS",
     "REFERENCE_C",
     "STAND_ANGLES",
     "AppliedEffect",

@@ -8,11 +8,8 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from bench.base.arrays import Floats, Ints, Mask
 
 REFERENCE_C: Final = 20.0
 """The temperature from which effects count, unless `Conditions` states another, °C."""
@@ -62,7 +59,7 @@ class Conditions:
         return len(self.angle_rad)
 
     @property
-    def remounted(self) -> Bools:
+    def remounted(self) -> Mask:
         """Where the block has another mounting than in the row before, shape (n,); true in the first row."""
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
 

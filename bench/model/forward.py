@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.geometry import Installation, specific_force_on_platform
-
-Floats = NDArray[np.float64]
 
 _UNKNOWN_TURN = np.full((3, 3), np.nan)
 

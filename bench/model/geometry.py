@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bench.base.arrays import Floats
 
 STAND_ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll")
 """The angles that stay fixed while a block stays mounted, in the order of the columns of `stand_errors`.

@@ -6,15 +6,13 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.files.bench.file import BenchFile
 from bench.model.block import COEFFICIENTS
 from bench.procedure.plan import Ask, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.table import UNORIENTED, VERIFICATION
-
-Floats = NDArray[np.float64]
 
 ROUNDING_RAD: Final = 1e-9
 

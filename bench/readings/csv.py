@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from bench.base.arrays import Floats
 from bench.readings.table import (
     FREE,
     REFERENCE,
@@ -20,7 +21,6 @@ from bench.readings.table import (
     UNITS,
     UNORIENTED,
     VERIFICATION,
-    Floats,
     Readings,
     scan_order,
 )

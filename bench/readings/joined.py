@@ -7,11 +7,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
 
 BETWEEN_S: Final = 3600.0
 """From the last reading of a table to the first of the next, s, where nobody knows better."""

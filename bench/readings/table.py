@@ -12,11 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.arrays import Floats, Ints, Labels
 from bench.model.conditions import Conditions
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Labels = NDArray[np.str_]
 
 VERIFICATION: Final = "V"
 FREE: Final = "F"

@@ -14,9 +14,9 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import Calibration, Verification
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.numbers import MINUS, Scale, scale_for
 from bench.model.block import COEFFICIENTS
 from bench.model.conditions import Mount
@@ -25,10 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-CHANNELS: Final = ("x", "y", "z")
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, GREY = (
     "#0072B2",
     "#D55E00",

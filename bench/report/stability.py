@@ -9,8 +9,9 @@ import numpy as np
 
 from bench.analysis.stability.allan import AllanCurve
 from bench.analysis.stability.noise_terms import NoiseTerms
+from bench.base.arrays import CHANNELS
 from bench.base.numbers import scale_for
-from bench.report.plots import BLUE, CHANNELS, GREEN, VERMILION
+from bench.report.plots import BLUE, GREEN, VERMILION
 from bench.report.svg_file import svg_file
 
 if TYPE_CHECKING:

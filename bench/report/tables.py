@@ -8,17 +8,14 @@ from typing import Final
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import Calibration, Estimate, Noise, Verification
 from bench.analysis.calibration.design import SYMBOLS
-from bench.analysis.calibration.result import ARCSEC
+from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
 from bench.model.effects import CATALOGUE
-from bench.report.plots import CHANNELS, correlation_matrix, residual_scale
-
-Floats = NDArray[np.float64]
+from bench.report.plots import correlation_matrix, residual_scale
 
 MEANINGS: Final = {
     "axis_tilt": "axis tilt",

@@ -13,10 +13,9 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
-Floats = NDArray[np.float64]
+from bench.base.arrays import Floats
 
 OUTLIER_LEVEL: Final = 0.01
 """Probability with which normal samples without an outlier are said to have one."""

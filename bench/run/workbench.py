@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.base.arrays import CHANNELS
 from bench.procedure.plan import Ask, Mount, Read, SelectInput, SetTemperature, Settle, Step, Turn, Wait
 from bench.procedure.steps import in_scan_order, read_order
 from bench.run.mounting import mount_picture, mount_text
@@ -17,7 +18,6 @@ from bench.run.samples import describe
 from bench.run.settling import Criterion, Settling, wait_until_settled
 from drivers.clock import Clock
 from drivers.interfaces import (
-    CHANNELS,
     BenchError,
     DividingHead,
     HeadPosition,

@@ -11,9 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bench.base.arrays import Floats
 
-ARCSEC: Final = np.pi / 648000
 _HALF = np.sqrt(0.5)
 
 AXES: Final[dict[str, Floats]] = {

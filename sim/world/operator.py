@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from bench.base.arrays import ARCSEC
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
 from sim.world.world import keyed_generator
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from drivers.interfaces import Direction
     from sim.world.world import World
 
-ARCSEC_RAD: Final = math.pi / 648000.0
 
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
 
@@ -30,8 +29,8 @@ class OperatorSettings:
     slip in what is typed (1°, 10′ or 1′ off) while the head stands right.
     """
 
-    setting_deviation_rad: float = 2.0 * ARCSEC_RAD
-    resolution_rad: float = ARCSEC_RAD
+    setting_deviation_rad: float = 2.0 * ARCSEC
+    resolution_rad: float = ARCSEC
     turn_time_s: tuple[float, float] = (60.0, 180.0)
     mount_time_s: float = 1200.0
     task_time_s: float = 30.0
@@ -103,7 +102,7 @@ class ScriptedOperator:
         deviation_rad = float(generator.normal(0.0, settings.setting_deviation_rad))
         duration_s = float(generator.uniform(*settings.turn_time_s))
         scale_steps = round((target_rad + deviation_rad) / settings.resolution_rad)
-        read_arcsec = scale_steps * settings.resolution_rad / ARCSEC_RAD
+        read_arcsec = scale_steps * settings.resolution_rad / ARCSEC
         if self._turned_for == step:
             self._pass_time(settings.second_look_s)
         else:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model import Conditions
 
 if TYPE_CHECKING:
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bench.model import Block, ForwardModel
     from drivers.interfaces import Direction
     from sim.world.turning import HeadTurn
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import CHANNELS, Floats
 from bench.model import STAND_ANGLES, Distribution, stand_errors
-from drivers.interfaces import CHANNELS
 from sim.world.heat import Heat
 from sim.world.inputs import Terminals
 from sim.world.pose import Pose, Visit, readings_of
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.interfaces import Channel, Direction
 
-Floats = NDArray[np.float64]
 
 SETTING_ERROR: Final = "setting_error"
 VOLTMETER_ERROR: Final = "voltmeter_error"

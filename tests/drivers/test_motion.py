@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
+from bench.base.arrays import ARCSEC
 from drivers.interfaces import HeadPosition, InstrumentRefused, LimitExceeded
 from drivers.motion import Mover, Travel
 from tests.support.scripted_session import Clock
 
-ARCSEC = math.pi / 648000
 DEG = math.pi / 180
 TRAVEL = Travel(
     minimum_rad=-10 * DEG,

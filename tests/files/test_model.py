@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.base.arrays import ARCSEC
 from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.model import load_model, write_model_file
 from bench.model import CATALOGUE, AppliedEffect
-
-ARCSEC = np.pi / 648000
 
 GOOD = """\
 model_file: 1

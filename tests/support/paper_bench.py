@@ -8,9 +8,8 @@ cannot cancel out.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bench.base.arrays import ARCSEC
 from bench.readings.table import Readings, make_readings
-
-ARCSEC = np.pi / 648000
 
 # paper (11), V/g and V
 K = np.array(

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.budget.coefficients import Budget, Contribution, number, parts_of
@@ -20,9 +19,8 @@ from bench.analysis.budget.sources import Source
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import acceptance_limit, modulus_slopes
+from bench.base.arrays import Floats
 from bench.model import Conditions, Stage
-
-Floats = NDArray[np.float64]
 
 DIRECTIONS: Final = 1000
 MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget.estimators import gain as gain_of
 from bench.analysis.budget.propagation import (
@@ -21,9 +20,8 @@ from bench.analysis.budget.propagation import (
 )
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import Source, influences, sizes_by_name
+from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget.setup import Setup, rows_of
 from bench.analysis.calibration import gls
@@ -15,9 +14,8 @@ from bench.analysis.calibration.closed_form import closed_form_gain
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.linear import least_squares_gain
 from bench.analysis.calibration.result import CalibrationError, Noise
+from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES
-
-Floats = NDArray[np.float64]
 
 ESTIMATORS: Final = ("gls", "closed-form", "least-squares")
 _ALSO_CALLED: Final = {"ols": "least-squares", "robust": "gls"}

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget.acceleration import delta_g
 from bench.analysis.budget.coefficients import Budget
@@ -27,10 +26,9 @@ from bench.analysis.budget.monte_carlo import (
 from bench.analysis.budget.propagation import Propagated
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import Source, influences
+from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES, Conditions
 from bench.model.block import COEFFICIENTS
-
-Floats = NDArray[np.float64]
 
 BATCH: Final = 200
 """Trials at once: so few that their readings stay in the cache and that no product is shared out to threads."""

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from bench.base.arrays import Floats, Singles
 
 BATCH: Final = 512
 """So small that a batch stays in the cache and that its product is not shared out among threads."""

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from bench.analysis.budget.propagation import COVERAGE, Propagated
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats
 from bench.model.distribution import Distribution
-
-Floats = NDArray[np.float64]
 
 Draw = Callable[[np.random.Generator, int], Floats]
 """Returns so many draws of all inputs of a function, the draws along the first axis."""

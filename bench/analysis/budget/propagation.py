@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from bench.analysis.calibration.result import CalibrationError
-
-Floats = NDArray[np.float64]
+from bench.base.arrays import Floats
 
 COVERAGE: Final = 0.9545
 """The coverage probability of results: that of k = 2 for a normal distribution (EA-4/02 M:2022, section 5)."""

@@ -8,18 +8,14 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats, Ints, Mask
 from bench.files.bench.file import BenchFile
 from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel
 from bench.procedure.plan import Plan, Read, SetTemperature
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 STEP_RAD: Final = 1e-5
 _SAME_FORCE_G: Final = 1e-6
@@ -39,13 +35,13 @@ class Setup:
     meters: tuple[int, int, int] = (0, 1, 2)
 
     @cached_property
-    def verification(self) -> Bools:
+    def verification(self) -> Mask:
         """Which readings are verification points, shape (n,)."""
         of = np.array([mount.installation == VERIFICATION for mount in self.conditions.mounts])
         return np.asarray(of[self.conditions.mount])
 
     @property
-    def fitted(self) -> Bools:
+    def fitted(self) -> Mask:
         """Which readings the estimator uses, shape (n,)."""
         return ~self.verification
 
@@ -119,7 +115,7 @@ class Setup:
         )
 
 
-def rows_of(conditions: Conditions, rows: Bools) -> Conditions:
+def rows_of(conditions: Conditions, rows: Mask) -> Conditions:
     """Return the rows where the mask (n,) is true, with the mountings that they are of."""
     used, mount = np.unique(conditions.mount[rows], return_inverse=True)
     return replace(

@@ -8,19 +8,15 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget.influence import Influence
 from bench.analysis.budget.setup import Setup
 from bench.analysis.calibration.design import SYMBOLS, WEAK, EffectUnknown
-from bench.analysis.calibration.result import ARCSEC
+from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import STAND_ERRORS, BenchFile
 from bench.files.bench.stand import ErrorSize, Location
 from bench.model import STAND_ANGLES, Distribution
-from bench.model.effects import CHANNELS
-
-Floats = NDArray[np.float64]
 
 Common = Literal["reading", "setting", "orientation", "mounting", "run"]
 """What shares one draw of an error: a single signal, the three of a setting of the head, all readings in one

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED, SYMBOLS, Problem
 from bench.analysis.calibration.null_space import Kind, told_axis
 from bench.analysis.calibration.observability import Columns, Observability, columns_of, with_angles
-from bench.analysis.calibration.result import ARCSEC, CalibrationError
+from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import COEFFICIENTS, Block
 from bench.model.geometry import STAND_ANGLES
-
-Floats = NDArray[np.float64]
 
 MATTERS: Final = 0.02
 """A coefficient is named when it takes more than this part of the largest effect of an assumption."""

@@ -11,20 +11,17 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import gls, mistakes
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.noise import LEAST_REPEATS, noise_sizes, repeat_groups
 from bench.analysis.calibration.result import CalibrationError, Noise
+from bench.base.arrays import Floats, Ints
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel
 from bench.model.geometry import specific_force_on_platform
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CHUNK: Final = 200
 """Units at a time: their matrices stay in the processor's cache."""

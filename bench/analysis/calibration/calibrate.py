@@ -16,12 +16,11 @@ from bench.analysis.calibration.closed_form import NOMINAL_RAD, closed_form_gain
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.linear import least_squares_gain, linear_estimate
-from bench.analysis.calibration.result import ARCSEC, Calibration, CalibrationError, Estimate, Noise, Outlier
+from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
+from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.readings.table import FREE, VERIFICATION, Readings
-
-Floats = NDArray[np.float64]
 
 GLS: Final = "gls"
 CLOSED_FORM: Final = "closed-form"

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
 
 POINTS = 9
 NOMINAL_RAD = np.radians(45.0) * np.arange(POINTS)

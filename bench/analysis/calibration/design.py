@@ -8,16 +8,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.model.block import Block
 from bench.model.conditions import Conditions
-from bench.model.effects import CHANNELS, AppliedEffect
+from bench.model.effects import AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FIXED = 12
 """The coefficients come first among the unknowns and have no prior."""

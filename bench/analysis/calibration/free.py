@@ -10,13 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem
 from bench.analysis.calibration.result import CalibrationError, Triangular
+from bench.base.arrays import Floats
 from bench.model.block import Block
-
-Floats = NDArray[np.float64]
 
 MOST_ROUNDS: Final = 50
 STANDS_STILL_G: Final = 1e-14

@@ -27,10 +27,8 @@ from bench.analysis.calibration.noise import (
     whiten,
 )
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
+from bench.base.arrays import Floats, Ints
 from bench.model.block import Block
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOST_ITERATIONS: Final = 20
 STANDS_STILL: Final = 5e-3

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import gls
 from bench.analysis.calibration.design import FIXED, Problem, coefficient_columns
+from bench.base.arrays import Floats
 from bench.model.block import Block
-
-Floats = NDArray[np.float64]
 
 
 def least_squares_gain(problem: Problem) -> Floats:

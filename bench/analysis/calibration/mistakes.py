@@ -6,17 +6,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.closed_form import NOMINAL_RAD, POINTS
 from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats, Mask
 from bench.model.block import Block
 from bench.model.geometry import STAND_ANGLES
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 OVERLOAD: Final = 9.0e37
 """What a voltmeter replies where its range is too small."""

@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from bench.analysis.calibration.result import Noise
+from bench.base.arrays import Floats, Ints
 from bench.model.conditions import Conditions
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEAST_REPEATS: Final = 12
 """Repeats (readings less groups) below which their scatter is too poor a guide."""

@@ -8,13 +8,10 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED
-from bench.analysis.calibration.result import ARCSEC
+from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import COEFFICIENTS, Block
-
-Floats = NDArray[np.float64]
 
 MEMBER: Final = 0.02
 """An unknown belongs to a direction when it is more than this part of the largest in it."""

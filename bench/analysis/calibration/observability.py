@@ -11,17 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED, SYMBOLS, FreeRows, Problem, StandUnknown
 from bench.analysis.calibration.free import modulus_rows
 from bench.analysis.calibration.null_space import MEMBER, Direction, directions_of
-from bench.analysis.calibration.result import ARCSEC
+from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import COEFFICIENTS, Block
 from bench.model.conditions import Conditions
 from bench.model.geometry import STAND_ANGLES
-
-Floats = NDArray[np.float64]
 
 TRACELESS: Final = 1e-4
 """A direction leaves no trace when its singular value is below this part of the largest.

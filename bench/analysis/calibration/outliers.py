@@ -14,17 +14,14 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.gls import MODULUS, SETTING, Fit, Shift, whitened_rows
 from bench.analysis.calibration.noise import whiten
-from bench.analysis.calibration.result import ARCSEC, Outlier
+from bench.analysis.calibration.result import Outlier
+from bench.base.arrays import ARCSEC, Floats, Ints
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEVEL: Final = 0.01
 """Probability that a clean set of readings is said to have an outlier."""

@@ -8,15 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
-
-ARCSEC = np.pi / 648000
-
 
 HARDLY_BETTER = 0.95
 """An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
 
 HIGHEST_CONDITION: Final = 1e8
 """Condition number of K above which its inverse is noise: a real block has one near 1."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis.evidence import Search, Whitened
@@ -14,9 +13,8 @@ from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.repeats import noise_of_repeats
 from bench.analysis.diagnosis.result import Diagnosis
+from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
-
-Floats = NDArray[np.float64]
 
 LISTED: Final = 8
 """Families that a ranking shows, the most plausible first."""

@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.linear import MODULUS, Linear
-from bench.model import CATALOGUE, CHANNELS, AppliedEffect, Effect, Parameter
+from bench.base.arrays import CHANNELS, Floats, Ints
+from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
 from bench.readings.table import VERIFICATION
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SUBSETS: Final = tuple(
     subset for size in (1, 2, 3) for subset in itertools.combinations(range(3), size)

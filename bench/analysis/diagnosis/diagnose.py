@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.diagnosis.candidates import (
@@ -31,11 +30,10 @@ from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
 from bench.analysis.diagnosis.where import find_places
 from bench.analysis.mistakes.search import find_mistakes
-from bench.model import CATALOGUE, CHANNELS, AppliedEffect, ForwardModel
+from bench.base.arrays import CHANNELS, Floats
+from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.conditions import REMOUNT_S, SETTING_S
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
 
 UNEXPLAINED: Final = 1e-3
 """Chance that the repeats alone explain what the named effects leave, below which something is left over."""

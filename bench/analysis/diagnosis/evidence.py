@@ -14,13 +14,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.candidates import Candidates, Variant
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from bench.base.arrays import Floats, Ints
 
 SIZES: Final = (1.0, 4.0, 20.0)
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))

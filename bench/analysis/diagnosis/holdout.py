@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.diagnosis.candidates import Candidates
@@ -17,9 +16,7 @@ from bench.analysis.diagnosis.naming import Naming, name
 from bench.analysis.diagnosis.noise_grid import RATIOS, NoiseGrid, make_noise_grid
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, predicted_error
 from bench.analysis.diagnosis.threshold import Threshold
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from bench.base.arrays import Floats, Mask
 
 SURE: Final = 2.0
 """Beyond the size that half of the searches find, in units of noise: so large is found nearly always."""
@@ -34,7 +31,7 @@ class Fold:
     """
 
     label: str
-    rows: Bools
+    rows: Mask
     found: tuple[str, ...]
     before: Floats
     after: Floats
@@ -107,7 +104,7 @@ class Gap:
         }
 
 
-def folds_of(linear: Linear) -> Iterator[tuple[str, Bools]]:
+def folds_of(linear: Linear) -> Iterator[tuple[str, Mask]]:
     """Yield what is held out in turn: each pass of the settings, and the rows of known modulus alone."""
     oriented = linear.setting >= 0
     passes = linear.readings.pass_number[linear.rows.reading]
@@ -180,7 +177,7 @@ def _could_show(
     return True
 
 
-def restrict(linear: Linear, rows: Bools) -> Linear:
+def restrict(linear: Linear, rows: Mask) -> Linear:
     """Return the system with some of its rows; settings are numbered anew."""
     setting = linear.setting[rows]
     present = {number: i for i, number in enumerate(dict.fromkeys(setting[setting >= 0].tolist()))}

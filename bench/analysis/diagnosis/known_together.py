@@ -7,12 +7,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.candidates import Candidates, Column, Variant
-from bench.model import CATALOGUE, CHANNELS
-
-Floats = NDArray[np.float64]
+from bench.base.arrays import CHANNELS, Floats
+from bench.model import CATALOGUE
 
 FAR_BETTER: Final = 0.25
 """A sum or difference is told when its u is no more than this part of that of either value."""

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from bench.analysis.calibration.calibrate import first_guess
 from bench.analysis.calibration.design import FIXED, Problem, coefficient_columns, make_problem
+from bench.base.arrays import Floats, Ints
 from bench.model import STAND_ANGLES, AppliedEffect, Block, Conditions, ForwardModel
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MODULUS: Final = 3
 """Channel number of a row that holds a modulus and no single channel."""

@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.candidates import UNNAMED, Candidates, Variant
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Data, Scores, Search, Whitened
 from bench.analysis.diagnosis.threshold import Threshold, total_evidence
+from bench.base.arrays import Floats
 from bench.model import CATALOGUE
-
-Floats = NDArray[np.float64]
 
 MOST_EFFECTS: Final = 5
 LEAK: Final = 2.5

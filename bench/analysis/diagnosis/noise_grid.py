@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.linear import Linear
-
-Floats = NDArray[np.float64]
+from bench.base.arrays import Floats
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
 """Grid of gamma: what a setting error of the typical slope adds, in units of a reading's noise."""

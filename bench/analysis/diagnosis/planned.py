@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model import Block, Conditions, ForwardModel
 from bench.procedure.plan import Plan, Read, SelectInput, SetTemperature
 from bench.readings.joined import Part, together
 from bench.readings.table import REFERENCE, REFERENCE_V, SHORTED, UNORIENTED, Readings, make_readings
-
-Floats = NDArray[np.float64]
 
 
 def planned_readings(

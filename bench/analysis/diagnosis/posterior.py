@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, SIZES, Data, Search, Whitened
 from bench.analysis.diagnosis.linear import Linear
 from bench.analysis.diagnosis.naming import Naming
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from bench.base.arrays import Floats, Mask
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
     )
 
 
-def posterior(linear: Linear, effects: Floats, noise: NoiseSize, rows: Bools | None = None) -> Posterior:
+def posterior(linear: Linear, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
     """Estimate from `rows` (all by default) with the effects' columns (N, m), one prior size each."""
     mine = np.ones(len(linear), dtype=bool) if rows is None else rows
     design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
@@ -105,7 +102,7 @@ def fit_found(linear: Linear, candidates: Candidates, naming: Naming, noise: Noi
     return Posterior(again.mean * whole, again.covariance * np.outer(whole, whole), again.effects)
 
 
-def whiten_rows(linear: Linear, noise: NoiseSize, columns: Floats, rows: Bools) -> Floats:
+def whiten_rows(linear: Linear, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:
     """Return R^(-1/2) times columns of the given rows; whole settings must be among them."""
     slope = linear.slope[rows][:, None]
     setting = linear.setting[rows]
@@ -122,7 +119,7 @@ def whiten_rows(linear: Linear, noise: NoiseSize, columns: Floats, rows: Bools) 
 
 
 def predicted_error(
-    linear: Linear, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Bools
+    linear: Linear, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Mask
 ) -> tuple[Floats, float]:
     """Return measured less predicted in rows that were not used (n,), and its chi-square.
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.linear import Linear
-
-Floats = NDArray[np.float64]
+from bench.base.arrays import Floats
 
 LEAST_FREEDOM: Final = 6
 """Settings beyond the saturated description below which repeats tell too little."""

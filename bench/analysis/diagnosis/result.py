@@ -13,7 +13,8 @@ from bench.analysis.diagnosis.naming import Found, Naming
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import MistakeSearch
-from bench.model import CATALOGUE, CHANNELS, AppliedEffect
+from bench.base.arrays import CHANNELS
+from bench.model import CATALOGUE, AppliedEffect
 
 Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
 

@@ -13,16 +13,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.candidates import Candidates, Variant
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
 from bench.analysis.diagnosis.linear import Linear
 from bench.analysis.diagnosis.posterior import NoiseSize, whiten_rows
+from bench.base.arrays import Floats
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import VERIFICATION
-
-Floats = NDArray[np.float64]
 
 
 class Part(NamedTuple):

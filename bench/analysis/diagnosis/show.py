@@ -13,10 +13,9 @@ from bench.analysis.calibration import Calibration, LackOfFit, calibrate, gls
 from bench.analysis.calibration.calibrate import first_guess, usable_rows
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.analysis.calibration.noise import repeat_groups, whiten
-from bench.model import CHANNELS, STAND_ANGLES, AppliedEffect, Block, ForwardModel
+from bench.base.arrays import CHANNELS, Floats
+from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
 from bench.readings.table import FREE, VERIFICATION, Readings
-
-Floats = NDArray[np.float64]
 
 SEED: Final = 1
 """Seed of the noise of the simulated readings."""

@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bench.analysis.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES, Scores, Search, Whitened
 from bench.analysis.diagnosis.linear import Linear
 from bench.analysis.diagnosis.noise_grid import RATIOS
+from bench.base.arrays import Floats
 from bench.model import CATALOGUE
-
-Floats = NDArray[np.float64]
 
 NULLS: Final = 2000
 SEED: Final = 20260

@@ -11,9 +11,7 @@ from scipy import special
 
 from bench.analysis.diagnosis.linear import MODULUS, Linear
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
-from bench.model import CHANNELS
-
-Floats = NDArray[np.float64]
+from bench.base.arrays import CHANNELS, Floats
 
 SIGNIFICANT: Final = 0.01
 MOST_PLACES: Final = 8

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 COVERAGE: Final = 2.0

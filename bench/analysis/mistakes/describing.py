@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from bench.analysis.calibration.design import FIXED, Problem
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
 from bench.analysis.calibration.result import Noise
+from bench.base.arrays import Floats, Ints
 from bench.model import Block, Conditions
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WIDE_G: Final = 5e-3
 """Prior 1 sigma of a free value of a point, or of a slow change, in g: more than any effect makes."""

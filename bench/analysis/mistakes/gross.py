@@ -23,11 +23,9 @@ from bench.analysis.mistakes.reinterpretation import (
     other_mountings,
     suppositions,
 )
+from bench.base.arrays import Floats
 from bench.model import Block, Installation
 from bench.model.geometry import STAND_ANGLES, specific_force_on_platform
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 GROSS_G: Final = 5e-4
 """What a reading may be off without a mistake, 1 sigma: 100 arcsec, or a large effect of the block."""

@@ -12,15 +12,10 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats, Ints, Labels, Mask
 from bench.model import Mount
 from bench.readings.table import REFERENCE, UNORIENTED, VERIFICATION, Readings
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Labels = NDArray[np.str_]
 
 OTHER_MOUNTING: Final = "other_mounting"
 """No mistake of its own here, since a table cannot say how else the block sat; a mistake may look like it."""
@@ -78,7 +73,7 @@ class Oriented:
 class Scope:
     """Where a supposition holds: `mask` (n,); no mount named is the whole run, no pass all of them."""
 
-    mask: Bools
+    mask: Mask
     mounts: tuple[Mount, ...] = ()
     pass_number: int | None = None
 
@@ -267,7 +262,7 @@ def _shifted(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
             yield Reinterpretation("shifted_points", scope, words, angle_rad=angle)
 
 
-def _rows_aside(runs: Ints, mask: Bools, step: int) -> Ints:
+def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
     """Return for each row the one `step` later in the same run of rows, -1 where there is none."""
     source = np.arange(len(runs))
     for run in np.unique(runs[mask]):
@@ -281,7 +276,7 @@ def _rows_aside(runs: Ints, mask: Bools, step: int) -> Ints:
     return source
 
 
-def _stop_rad(table: Oriented, mask: Bools) -> Floats | None:
+def _stop_rad(table: Oriented, mask: Mask) -> Floats | None:
     """Return the signed angle (n,) from stop to stop of each row's pass, where all stops are equally wide."""
     stops = np.zeros(len(table))
     widths: list[float] = []

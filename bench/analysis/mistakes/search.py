@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.calibrate import usable_rows
 from bench.analysis.calibration.design import Problem, make_problem
@@ -21,10 +20,9 @@ from bench.analysis.mistakes.describing import Description, Situation, descripti
 from bench.analysis.mistakes.gross import GrossMistake, GrossSearch
 from bench.analysis.mistakes.reinterpretation import OTHER_MOUNTING, Oriented
 from bench.analysis.mistakes.single_readings import SingleMistake, find_single
+from bench.base.arrays import Floats
 from bench.model import Block, ForwardModel
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
 
 MOST: Final = 5
 """Mistakes of each of the two kinds that are put right one after another."""

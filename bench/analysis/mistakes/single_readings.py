@@ -16,7 +16,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.design import Problem
@@ -34,10 +33,8 @@ from bench.analysis.mistakes.describing import (
     finish,
     weigh,
 )
+from bench.base.arrays import Floats
 from bench.model import Block
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SLIPS_RAD: Final = tuple(sign * float(np.radians(s)) for s in (1.0, 1 / 6, 1 / 60) for sign in (1, -1))
 """A setting off by 1°, 10′ or 1′; beside them the angle counted backwards, 360° - φ."""

@@ -15,14 +15,11 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.result import Noise
 from bench.analysis.planning.goals import Goal
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from bench.base.arrays import Floats, Ints
 
 _POWERS: Final = (8.0, 40.0)
 """The largest of several ratios is taken as their power mean: of the first order, smooth, then nearly itself."""

@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget.acceleration import directions
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import modulus_slopes
+from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS, Block
-
-Floats = NDArray[np.float64]
 
 DIRECTIONS: Final = 128
 """Directions over which an acceleration is taken."""

@@ -9,7 +9,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget import Setup, make_budget
 from bench.analysis.budget.sources import stand_source
@@ -19,10 +18,8 @@ from bench.analysis.calibration.result import CalibrationError, Noise
 from bench.analysis.planning.exchange import Candidates, Design, best_of, fewest, least_settings, widening
 from bench.analysis.planning.goals import Goal, worst
 from bench.analysis.planning.settings import Cost, Setting, conditions_of
+from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mount
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ROUNDS: Final = 4
 """Searches until the goals are reached with the noise that repeats and residuals will really tell."""

@@ -9,15 +9,13 @@ from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from bench.analysis.budget import Budget, Setup, Source, make_budget
 from bench.analysis.budget.acceleration import delta_g, directions, measured
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
-
-Floats = NDArray[np.float64]
 
 Target = Callable[[Budget], Floats]
 """Variances (points, sources) of what is required, in the order of the budget's contributions.

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.stability.allan import AllanCurve
 from bench.analysis.stability.noise_terms import NoiseTerms
-
-Floats = NDArray[np.float64]
 
 FLAT: Final = -0.25
 """Slope of the logarithms at which the deviation counts as flat: half of that of white noise."""

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from bench.base.arrays import Floats, Ints
 
 LONGEST_PART: Final = 4
 """Averaging times go up to the record's length over this: beyond, one or two values decide."""

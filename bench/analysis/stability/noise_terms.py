@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from scipy import optimize, special
 
 from bench.analysis.stability.allan import AllanCurve
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from bench.base.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError
+from bench.base.arrays import Floats
 from bench.readings.csv import LISTED_AT_ONCE, OVERLOAD, ReadingsError, split_table
 from bench.readings.table import UNITS
-
-Floats = NDArray[np.float64]
 
 LEAST_SAMPLES: Final = 32
 EXAMPLE: Final = "time_s,ux_v,uy_v,uz_v"

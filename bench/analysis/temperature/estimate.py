@@ -18,11 +18,9 @@ from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judg
 from bench.analysis.temperature.model import Hysteresis, PlateauResult, TemperatureModel
 from bench.analysis.temperature.plateaus import Plateau, ThermalReadings, sort_readings
 from bench.analysis.temperature.selection import Choice, choose_degrees
+from bench.base.arrays import Floats, Mask
 from bench.model.forward import ForwardModel
 from bench.readings.table import Readings
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 HIGHEST_DEGREE: Final = 4
 """Of an automatic choice: what accelerometers show over their range is hardly ever of higher degree."""

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.design import STEP_RAD, Problem, coefficient_columns
 from bench.analysis.calibration.gls import (
@@ -26,11 +25,8 @@ from bench.analysis.calibration.gls import (
 )
 from bench.analysis.calibration.noise import whiten
 from bench.analysis.calibration.result import LackOfFit, Noise
+from bench.base.arrays import Floats, Ints, Mask
 from bench.model.block import Block
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 WEAKEST: Final = 1e-3
 """Columns of unit length whose least singular value is below this part of the largest are not determined."""

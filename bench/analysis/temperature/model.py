@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
+from bench.base.arrays import Floats, Ints
 from bench.model.block import COEFFICIENTS, Block
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

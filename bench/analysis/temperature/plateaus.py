@@ -11,15 +11,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import CalibrationError
+from bench.base.arrays import Floats, Ints, Mask
 from bench.readings.joined import Part, together
 from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, Readings
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 PLATEAU_K: Final = 2.0
 """Temperatures within so many kelvins are one plateau: chambers hold theirs to better than 1 K."""

@@ -10,14 +10,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.temperature.fit import ThermalFit
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from bench.base.arrays import Floats, Ints, Mask
 
 STAYS_P: Final = 0.05
 """A highest term stays when chance alone would make one so large less often than this."""

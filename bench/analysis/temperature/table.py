@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.temperature.model import TemperatureModel
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from bench.base.arrays import Floats, Singles
 
 MOST_STEPS: Final = 1024
 SMALL: Final = 0.1

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 
+from bench.base.arrays import CHANNELS
 from bench.base.form_mistakes import Place, unknown_word
 from bench.base.forms import part
 from bench.base.units import SCALE_FACTOR, VOLTAGE, Kind, parse_quantity
@@ -15,7 +16,6 @@ from bench.devices.voltmeters import written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
 from bench.readings.table import UNORIENTED
-from drivers.interfaces import CHANNELS
 
 _OVER_RANGE: Final = 1.2
 """A 34401A reads up to 120 % of its range (User's Guide, chapter 8)."""

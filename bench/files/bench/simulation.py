@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from bench.base.arrays import ARCSEC
 from bench.base.forms import FileModel
 from bench.base.units import Kind, Ratio, ScaleFactor, TemperatureC, VoltageV, not_negative
 from bench.devices.chambers import SizeK
@@ -17,7 +17,6 @@ TEMPERATURE_RATE: Final = Kind("a rate of temperature", "4 K/min", "K/s")
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
 Row = Annotated[tuple[ScaleFactor, ...], Field(min_length=3, max_length=3)]
 
-_ARCSEC: Final = math.pi / 648000
 
 FaultWord = Literal[
     "drop", "refuse", "late", "twice", "cut", "garble", "silence", "hang", "power-cycle", "overload", "local",
@@ -43,8 +42,8 @@ class OperatorTruth(FileModel):
     angle that is typed has a classic slip.
     """
 
-    setting_deviation: SizeRad = 2 * _ARCSEC
-    resolution: SizeRad = _ARCSEC
+    setting_deviation: SizeRad = 2 * ARCSEC
+    resolution: SizeRad = ARCSEC
     slip_probability: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.01
     turn_time: Annotated[tuple[SpanS, ...], Field(min_length=2, max_length=2)] = (60.0, 180.0)
     mount_time: SpanS = 1200.0

@@ -1,7 +1,7 @@
 """The catalogue of effects: every effect that the model knows, by name."""
 
 from bench.model.effects import head, hysteresis, nonlinear, stand, thermal, voltmeter
-from bench.model.effects.base import CHANNELS, AppliedEffect, Effect, Parameter, Stage, Subsystem
+from bench.model.effects.base import AppliedEffect, Effect, Parameter, Stage, Subsystem
 
 CATALOGUE: dict[str, Effect] = {
     effect.name: effect
@@ -42,4 +42,4 @@ CATALOGUE: dict[str, Effect] = {
     )
 }
 
-__all__ = ["CATALOGUE", "CHANNELS", "AppliedEffect", "Effect", "Parameter", "Stage", "Subsystem"]
+__all__ = ["CATALOGUE", "AppliedEffect", "Effect", "Parameter", "Stage", "Subsystem"]

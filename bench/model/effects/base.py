@@ -9,14 +9,10 @@ from enum import StrEnum
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.model.block import Block
 from bench.model.conditions import Conditions
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-CHANNELS = ("x", "y", "z")
 
 
 class Stage(StrEnum):
@@ -127,12 +123,12 @@ class AppliedEffect:
         units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in shapes}
         return ", ".join(f"{p.name} {float(values[p.name]) / p.si_per_unit:g}{units[p.name]}" for p in shapes)
 
-    def rows(self, conditions: Conditions) -> Bools:
+    def rows(self, conditions: Conditions) -> Mask:
         """Return where the effect acts, shape (n,)."""
         if not self.installations:
             return np.ones(len(conditions), dtype=bool)
         has = np.array([str(mount) in self.installations for mount in conditions.mounts], dtype=bool)
-        rows: Bools = has[conditions.mount]
+        rows: Mask = has[conditions.mount]
         return np.logical_or.accumulate(rows) if self.effect.lasts else rows
 
     def addition(self, signal: Floats, conditions: Conditions, block: Block) -> Floats:

@@ -6,15 +6,11 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-Floats = NDArray[np.float64]
-
-ARCSEC = np.pi / 648000
 
 MARKS_DEG: Final = tuple(range(0, 360, 15))
 """The marks of the scale that have an error of their own."""

@@ -13,11 +13,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-Floats = NDArray[np.float64]
 
 PAST_RAD: Final = np.radians(5.0)
 """How far the head turns past a setting to come to it from the other side."""

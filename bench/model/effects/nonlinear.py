@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-Floats = NDArray[np.float64]
 
 
 def _size(name: str, unit: str, plausible: float) -> Parameter:

@@ -6,16 +6,13 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
 from bench.model.geometry import STAND_ANGLES
 
-Floats = NDArray[np.float64]
-
-ARCSEC = np.pi / 648000
 HOUR = 3600.0
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-Floats = NDArray[np.float64]
 
 MINUTE = 60.0
 HOUR = 3600.0

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-Floats = NDArray[np.float64]
 
 HOUR = 3600.0
 

@@ -10,10 +10,10 @@ import numpy as np
 from bench.analysis.calibration import Calibration
 from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.show import SEED, ModulusPoint, Shown
+from bench.base.arrays import CHANNELS
 from bench.base.numbers import MINUS, Scale, scale_for
 from bench.report.plots import (
     BLUE,
-    CHANNELS,
     GREEN,
     GREY,
     ORANGE,

@@ -14,11 +14,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.arrays import Floats
 from bench.model import Block, Conditions, ForwardModel
 from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, Pose, poses
 from drivers.angles import format_dms
-
-Floats = NDArray[np.float64]
 
 TIE: Final = 6.0
 """Two causes whose costs (-2 ln likelihood) differ by less are both named: less than 20 : 1."""

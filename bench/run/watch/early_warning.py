@@ -20,13 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
+from bench.base.arrays import CHANNELS, Floats
 from bench.model import Block, Conditions, ForwardModel
 from bench.run.watch.causes import Inquiry, Replay, Sighting, Suspect, likeliest
 from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, RepeatNoise, poses
 from drivers.angles import format_dms
-from drivers.interfaces import CHANNELS
-
-Floats = NDArray[np.float64]
 
 SCALE_FACTOR_U: Final = 0.03
 CROSS_AXIS_U: Final = 0.03

@@ -14,12 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats, Mask
 from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel, Mount
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 COEFFICIENT_COUNT: Final = 12
 SETTING: Final = len(STAND_ANGLES)
@@ -209,7 +206,7 @@ class Expectation:
         chi2 = (residual * np.linalg.solve(covariance, residual[..., None])[..., 0]).sum(axis=-1)
         return Judgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
-    def take(self, judged: Judgement, members: Bools | None = None) -> None:
+    def take(self, judged: Judgement, members: Mask | None = None) -> None:
         """Learn from a judged reading, in the members of the mask (m,) alone where one is given."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)

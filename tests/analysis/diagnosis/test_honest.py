@@ -13,6 +13,7 @@ from bench.analysis.diagnosis.candidates import Candidates, Column, Variant
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.next_measurement import propose
 from bench.analysis.diagnosis.show import contradicted
+from bench.base.arrays import ARCSEC
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import CATALOGUE, AppliedEffect
@@ -20,7 +21,6 @@ from bench.readings.csv import write_csv
 from bench.report.diagnosis.words import less_certain, p_in_column, p_in_words, parameters_in_words
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
 
-ARCSEC = np.pi / 648000.0
 K2_STATED = """\
 model_file: 1
 name: stated

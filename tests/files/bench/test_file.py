@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from bench.base.arrays import ARCSEC
 from bench.base.forms import FileMistakes, sha256_of_file
 from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import STAND_ERRORS, load_bench
@@ -12,8 +13,6 @@ from bench.files.shipped import find_bench
 from drivers.agilent_34401a import driver as agilent_34401a
 from drivers.keysight_34461a import driver as keysight_34461a
 from drivers.keysight_34970a import driver as keysight_34970a
-
-ARCSEC = math.pi / 648000
 
 
 @pytest.fixture

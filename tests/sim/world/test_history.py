@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.base.arrays import CHANNELS
 from bench.model import AppliedEffect, Conditions, Distribution, ForwardModel
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.effect_bench import BLOCK, INSTALLATIONS, effect
 from tests.support.paper_bench import ARCSEC
 
-CHANNELS = ("x", "y", "z")
 STAND = {
     "axis_tilt": Distribution(5 * ARCSEC),
     "mounting_error": Distribution(60 * ARCSEC),

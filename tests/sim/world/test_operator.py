@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from bench.base.arrays import ARCSEC
 from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from drivers.interfaces import NoAnswer, Prompt, PromptKind
 from drivers.manual.head import ManualHead
 from sim.world.clock import VirtualClock
-from sim.world.operator import ARCSEC_RAD, OperatorSettings, ScriptedOperator, scale_text
+from sim.world.operator import OperatorSettings, ScriptedOperator, scale_text
 from sim.world.world import World, WorldSettings
 
 NEVER_SLIPS = OperatorSettings(slip_probability=0.0)
@@ -21,7 +22,7 @@ EXACT = OperatorSettings(setting_deviation_rad=0.0, slip_probability=0.0)
 def a_world(seed: int = 11) -> World:
     block = Block(-2.0 * np.eye(3), np.zeros(3))
     model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
-    stand = {"setting_error": Distribution(10 * ARCSEC_RAD, k=3)}
+    stand = {"setting_error": Distribution(10 * ARCSEC, k=3)}
     return World(WorldSettings(block, model, stand, seed), VirtualClock())
 
 
@@ -44,7 +45,7 @@ def test_turns_the_head_near_the_target_and_answers_what_the_scale_shows() -> No
         world.begin_step(f"{i}/turn")
         answer = operator.ask(turn_prompt(f"{i}/turn#1", math.pi / 4, -1))
         assert answer.prompt_id == f"{i}/turn#1"
-        assert arcsec_of(answer.text) * ARCSEC_RAD == pytest.approx(world.scale_angle_rad, abs=1e-12)
+        assert arcsec_of(answer.text) * ARCSEC == pytest.approx(world.scale_angle_rad, abs=1e-12)
         assert world.direction == -1
         deviations.append(arcsec_of(answer.text) - 45 * 3600)
     # Normal with sigma 2″ rounded to 1″: sqrt(4 + 1/12) = 2.02″; 300 draws know it to 4.1 %, bound 4 sigma.
@@ -90,8 +91,8 @@ def test_a_slip_is_a_classic_one_and_the_head_stands_right() -> None:
     sizes = set()
     for i in range(60):
         text = operator.ask(turn_prompt(f"{i}/turn#1", 1.0)).text
-        assert abs(world.scale_angle_rad - 1.0) < 15 * ARCSEC_RAD
-        sizes.add(round(arcsec_of(text) - world.scale_angle_rad / ARCSEC_RAD))
+        assert abs(world.scale_angle_rad - 1.0) < 15 * ARCSEC
+        sizes.add(round(arcsec_of(text) - world.scale_angle_rad / ARCSEC))
     assert sizes == {3600, -3600, 600, -600, 60, -60}
 
 
@@ -102,7 +103,7 @@ def test_slips_are_as_frequent_as_stated() -> None:
     slips = 0
     for i in range(400):
         text = operator.ask(turn_prompt(f"{i}/turn#1", 1.0)).text
-        slips += abs(arcsec_of(text) - world.scale_angle_rad / ARCSEC_RAD) > 30
+        slips += abs(arcsec_of(text) - world.scale_angle_rad / ARCSEC) > 30
     assert 16 <= slips <= 64
 
 
@@ -112,14 +113,14 @@ def test_asked_again_the_answer_is_right_and_the_head_is_not_turned_again() -> N
     operator.ask(turn_prompt("7/turn#1", 1.0))
     scale_rad, true_rad, now_s = world.scale_angle_rad, world.true_angle_rad, world.clock.now_s()
     answer = operator.ask(turn_prompt("7/turn#2", 1.0))
-    assert arcsec_of(answer.text) * ARCSEC_RAD == pytest.approx(scale_rad, abs=1e-12)
+    assert arcsec_of(answer.text) * ARCSEC == pytest.approx(scale_rad, abs=1e-12)
     assert (world.scale_angle_rad, world.true_angle_rad) == (scale_rad, true_rad)
     assert world.clock.now_s() - now_s == pytest.approx(15.0)
 
 
 def test_the_manual_head_accepts_the_operator_after_a_slip() -> None:
     world = a_world()
-    head = ManualHead("head", ScriptedOperator(world, ALWAYS_SLIPS), tolerance_rad=30 * ARCSEC_RAD)
+    head = ManualHead("head", ScriptedOperator(world, ALWAYS_SLIPS), tolerance_rad=30 * ARCSEC)
     for target_deg in (0.0, 45.0, 359.0, 360.0):
         position = head.move(math.radians(target_deg), 1, f"{target_deg}/turn")
         assert position.angle_rad == pytest.approx(world.scale_angle_rad, abs=1e-12)

@@ -6,6 +6,7 @@ import threading
 import numpy as np
 import pytest
 
+from bench.base.arrays import ARCSEC
 from bench.model import AppliedEffect, Block, Conditions, Distribution, ForwardModel, stand_errors
 from bench.model.effects import CATALOGUE, Effect, Stage
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
@@ -16,7 +17,6 @@ BLOCK = Block(
     np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
     np.array([0.07, -0.2, -0.41]),
 )
-ARCSEC = math.pi / 648000
 STAND = {
     "axis_tilt": Distribution(5 * ARCSEC, k=3),
     "zero_offset": Distribution(5 * ARCSEC, k=3),
