@@ -17,12 +17,12 @@ import numpy as np
 
 from bench.analysis.diagnosis.candidates import make_candidates
 from bench.analysis.diagnosis.evidence import Whitened
-from bench.analysis.diagnosis.linear import Linear, make_linear
+from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.naming import Found, name
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.planned import planned_readings
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.separation import Design, Form, Part
+from bench.analysis.diagnosis.separation import EffectPart, Form, ReadingDesign
 from bench.analysis.diagnosis.threshold import make_threshold
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
@@ -37,8 +37,8 @@ SIGMA_V = 15e-6
 """Noise of a reading."""
 
 
-def part(family: str, parameter: str, channel: int | None = None, *mounts: str, **shape: float) -> Part:
-    return Part(family, parameter, tuple(shape.items()), mounts, channel)
+def part(family: str, parameter: str, channel: int | None = None, *mounts: str, **shape: float) -> EffectPart:
+    return EffectPart(family, parameter, tuple(shape.items()), mounts, channel)
 
 
 def everywhere(family: str, parameter: str, channels: tuple[int, ...] = (0, 1, 2)) -> Form:
@@ -136,8 +136,8 @@ class Trial:
         # a chamber's cycle of 37 min, and 0.25 K in two hours
         time_s = readings.time_s
         warmth = 23.0 + 0.15 * np.sin(2 * np.pi * time_s / 2220.0) + 0.25 * time_s / 7200.0
-        self.linear: Linear = make_linear(replace(readings, temperature_c=warmth), model, stand_u)
-        self.design = Design(self.linear, NoiseSize(SIGMA_V, self.setting_rad, 42))
+        self.linear: LinearSystem = make_linear(replace(readings, temperature_c=warmth), model, stand_u)
+        self.design = ReadingDesign(self.linear, NoiseSize(SIGMA_V, self.setting_rad, 42))
 
     @property
     def settings(self) -> int:

@@ -22,7 +22,7 @@ from bench.model import Conditions, ForwardModel, stand_errors
 from bench.run.folder import Run
 from sim.bench import OF_INSTRUMENT, SimulatedBench
 from sim.wires.faults import Fault, FaultKind, FaultyInstrument
-from sim.wires.session import Instrument, WireFault
+from sim.wires.session import ServedInstrument, WireFault
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -153,7 +153,7 @@ def run_arguments(stand: Stand, runs: Path, name: str) -> list[str]:
 class WatchedWire:
     """One instrument of the simulation; counts its exchanges, and those that its wire spoilt."""
 
-    def __init__(self, faulty: FaultyInstrument, wired: Instrument) -> None:
+    def __init__(self, faulty: FaultyInstrument, wired: ServedInstrument) -> None:
         self.name = faulty.name
         self.exchanges = 0
         self.spoilt = 0

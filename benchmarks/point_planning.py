@@ -21,7 +21,7 @@ from bench.analysis.planning.settings import Setting, conditions_of, fitted, set
 from bench.base.arrays import Floats
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
-from bench.model import Distribution, ForwardModel, Mount
+from bench.model import Distribution, ForwardModel, Mounting
 from bench.procedure.load import load_procedure
 
 ANGLES = 24
@@ -84,7 +84,7 @@ def main() -> None:
     bench = load_bench(find_bench("paper-stand"))
     model = ForwardModel(bench.installation_models())
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
-    mounts = [Mount(1, "1"), Mount(1, "2")]
+    mounts = [Mounting(1, "1"), Mounting(1, "2")]
     sizes = {name: d.u for name, d in bench.stand_distributions().items()}
     limits = {name: d.limit for name, d in bench.stand_distributions().items()}
     for name, chosen in (("stand errors with k = 3", sizes), ("limits as one sigma", limits)):

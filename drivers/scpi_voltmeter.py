@@ -55,7 +55,7 @@ _STAYS_REMOTE_S: Final = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class ProvenSetting:
     """A command (None: it was set by one before), the question that proves it, and what is to come back.
 
     Several values are those of several channels, answered with commas between them.
@@ -128,7 +128,7 @@ class ScpiVoltmeter(ABC):
         """Raise `InstrumentRefused` unless the identity, as in the reply, is of this driver's models."""
 
     @abstractmethod
-    def _setup(self, settings: VoltmeterSettings) -> Sequence[Setting]:
+    def _setup(self, settings: VoltmeterSettings) -> Sequence[ProvenSetting]:
         """Return what is sent to take such readings, in order."""
 
     @abstractmethod
@@ -275,7 +275,7 @@ class ScpiVoltmeter(ABC):
             self._session.write("SYST:REM")
         self._spoke_s = self._clock.now_s()
 
-    def _set(self, setting: Setting) -> list[str]:
+    def _set(self, setting: ProvenSetting) -> list[str]:
         """Send a command, if any, and return how what is read back differs, as none or one phrase.
 
         Asking after each command also keeps an RS-232 meter's input buffer of 100 characters from filling.

@@ -17,7 +17,7 @@ from sim.wires.faults import FaultKind, FaultyInstrument
 from sim.wires.prologix import GpibAdapter
 from sim.wires.pty import TerminalServer
 from sim.wires.server import TcpServer
-from sim.wires.session import Instrument
+from sim.wires.session import ServedInstrument
 from sim.wires.traffic import Traffic
 from sim.world.clock import VirtualClock
 
@@ -146,7 +146,8 @@ class SimulatedBench:
                 self._add(name, made)
         ported = [name for name in self.dialects if name not in self._on_bus]
         wired = {
-            name: Instrument(self.faulty[name], self.traffic, self.faulty[name].wire_fault) for name in ported
+            name: ServedInstrument(self.faulty[name], self.traffic, self.faulty[name].wire_fault)
+            for name in ported
         }
         servers = {
             name: TcpServer(wired[name], host=host, port=first_port + number if first_port else 0)

@@ -16,7 +16,7 @@ from sim.scpi.values import Boolean, Choice
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
-    from sim.agilent_34401a.converter import Accuracy, Source
+    from sim.agilent_34401a.converter import Accuracy, MeteredSignal
 
 IDENTITY: Final = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-01"
 
@@ -41,7 +41,7 @@ class Keysight34461A(Agilent34401A):
 
     def __init__(
         self,
-        source: Source,
+        source: MeteredSignal,
         clock: Clock,
         *,
         interface: Literal["gpib", "lan"] = "lan",

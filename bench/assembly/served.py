@@ -39,10 +39,10 @@ from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Person, Voltmeter
 from drivers.wire.visa import Wire
 from sim.bench import SimulatedBench
-from sim.wires.control import Control
+from sim.wires.control import BenchControl
 from sim.wires.pty import TERMINALS
 from sim.wires.server import TcpServer
-from sim.wires.session import Instrument as Wired
+from sim.wires.session import ServedInstrument as Wired
 from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.operator import ScriptedOperator
 from sim.world.world import World
@@ -157,7 +157,7 @@ def served_bench(
         first_port=first_port,
         with_terminals=with_terminals and TERMINALS,
     )
-    with simulated, TcpServer(Wired(Control(simulated)), host=host) as control:
+    with simulated, TcpServer(Wired(BenchControl(simulated)), host=host) as control:
         yield Serving(tuple(simulated.addresses()), control.address)
 
 

@@ -25,7 +25,7 @@ _NULL: Final = "tag:yaml.org,2002:null"
 
 
 @dataclass(frozen=True, order=True)
-class Mistake:
+class FileMistake:
     """One mistake: line (1…, 0 where there is none), place ("stand.axis_tilt.limit"), what is wrong.
 
     `file` is the included file that it stands in, empty for the file that was asked for.
@@ -40,12 +40,12 @@ class Mistake:
 class FileMistakes(Exception):
     """A file that cannot be used. Its text has a line for each mistake: "file:line: place: what is wrong"."""
 
-    def __init__(self, path: Path | str, mistakes: Iterable[Mistake]) -> None:
+    def __init__(self, path: Path | str, mistakes: Iterable[FileMistake]) -> None:
         self.path = Path(path)
         self.mistakes = tuple(mistakes)
         super().__init__("\n".join(self._told(mistake) for mistake in self.mistakes))
 
-    def _told(self, mistake: Mistake) -> str:
+    def _told(self, mistake: FileMistake) -> str:
         where = f"{mistake.file or self.path}" + (f":{mistake.line}" if mistake.line else "")
         return ": ".join(part for part in (where, mistake.place, mistake.text) if part)
 
@@ -72,7 +72,7 @@ class Document:
     data: Any
     sha256: str
     lines: dict[Place, int] = field(default_factory=dict)
-    mistakes: list[Mistake] = field(default_factory=list)
+    mistakes: list[FileMistake] = field(default_factory=list)
 
     def line_of(self, place: Place) -> int:
         """Return the line of a place, or of the nearest place around it that was written."""
@@ -81,9 +81,9 @@ class Document:
                 return self.lines[place[:end]]
         return 0
 
-    def mistake(self, place: Place, text: str) -> Mistake:
+    def mistake(self, place: Place, text: str) -> FileMistake:
         """Return a mistake at a place of this file."""
-        return Mistake(self.line_of(place), told_place(place), text)
+        return FileMistake(self.line_of(place), told_place(place), text)
 
 
 def told_place(place: Place) -> str:
@@ -111,7 +111,7 @@ def load_document(path: Path) -> Document:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise FileMistakes(
-            path, [Mistake(line, "", "the file is not UTF-8 text; save it as UTF-8 and try again")]
+            path, [FileMistake(line, "", "the file is not UTF-8 text; save it as UTF-8 and try again")]
         ) from None
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -119,13 +119,13 @@ def load_document(path: Path) -> Document:
         mark = error.problem_mark or error.context_mark
         context = f" {error.context}" if error.context else ""
         problem = f"this is not YAML: {error.problem or 'it cannot be read'}{context}"
-        raise FileMistakes(path, [Mistake(mark.line + 1 if mark else 0, "", _hinted(problem))]) from None
+        raise FileMistakes(path, [FileMistake(mark.line + 1 if mark else 0, "", _hinted(problem))]) from None
     except (yaml.YAMLError, RecursionError) as error:
         reason = str(error).splitlines()[0] if str(error) else "it cannot be read"
-        raise FileMistakes(path, [Mistake(0, "", f"this is not YAML: {reason}")]) from None
+        raise FileMistakes(path, [FileMistake(0, "", f"this is not YAML: {reason}")]) from None
     if node is None or node.tag == _NULL:
         raise FileMistakes(
-            path, [Mistake(0, "", "the file is empty; 'bench init' writes files to start from")]
+            path, [FileMistake(0, "", "the file is empty; 'bench init' writes files to start from")]
         )
     document = Document(path, None, hashlib.sha256(content).hexdigest(), {(): node.start_mark.line + 1})
     document.data = _plain(node, (), document, set())
@@ -141,7 +141,7 @@ def _content(path: Path) -> bytes:
         text = "this is a folder; name a file in it"
     except OSError as error:
         text = f"the file cannot be read ({error.strerror})"
-    raise FileMistakes(path, [Mistake(0, "", text)])
+    raise FileMistakes(path, [FileMistake(0, "", text)])
 
 
 def _hinted(problem: str) -> str:
@@ -160,12 +160,12 @@ def _plain(node: yaml.Node, place: Place, document: Document, seen: set[int]) ->
     line = node.start_mark.line + 1
     if id(node) in seen:
         problem = "anchors and aliases (& and *) are not understood here; write the value out"
-        document.mistakes.append(Mistake(line, told_place(place), problem))
+        document.mistakes.append(FileMistake(line, told_place(place), problem))
         return None
     seen.add(id(node))
     if node.tag not in _PLAIN_TAGS:
         document.mistakes.append(
-            Mistake(line, told_place(place), f"the tag {node.tag!r} is not understood; leave it out")
+            FileMistake(line, told_place(place), f"the tag {node.tag!r} is not understood; leave it out")
         )
     if isinstance(node, yaml.MappingNode):
         return _plain_mapping(node, place, document, seen)
@@ -185,13 +185,13 @@ def _plain_mapping(
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            document.mistakes.append(Mistake(line, told_place(place), "a key must be a plain word"))
+            document.mistakes.append(FileMistake(line, told_place(place), "a key must be a plain word"))
             continue
         inside = (*place, key.value)
         if key.value in mapping:
             first = document.lines[inside]
             text = f"'{key.value}' stands here a second time, first in line {first}; leave one out"
-            document.mistakes.append(Mistake(line, told_place(place), text))
+            document.mistakes.append(FileMistake(line, told_place(place), text))
             continue
         document.lines[inside] = line
         mapping[key.value] = _plain(value, inside, document, seen)

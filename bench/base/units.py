@@ -53,7 +53,7 @@ _SPELLINGS: Final = (
 
 
 @dataclass(frozen=True)
-class Kind:
+class QuantityKind:
     """A physical quantity as files state it: what it is called, an example, the SI unit of the float.
 
     `only` lists the spellings of the unit that are allowed, where not all of the same dimension are.
@@ -70,16 +70,16 @@ class Kind:
         return f"expected {self.called} such as '{self.example}'"
 
 
-ANGLE: Final = Kind("an angle", "90 arcsec", "rad")
-VOLTAGE: Final = Kind("a voltage", "0.3 mV", "V")
-DURATION: Final = Kind("a duration", "30 s", "s")
-TEMPERATURE: Final = Kind("a temperature", "23 degC", "degC", only=("degC",))
-SCALE_FACTOR: Final = Kind("a scale factor with its sign", "-2.18 V/g", "V/g")
-ACCELERATION: Final = Kind("an acceleration in local gravity", "3e-4 g", "g")
-GRAVITY: Final = Kind("an acceleration", "9.81 m/s^2", "m/s^2")
-LENGTH: Final = Kind("a length", "180 m", "m")
-FREQUENCY: Final = Kind("a frequency", "50 Hz", "Hz")
-RATIO: Final = Kind("a plain number", "0.01", "")
+ANGLE: Final = QuantityKind("an angle", "90 arcsec", "rad")
+VOLTAGE: Final = QuantityKind("a voltage", "0.3 mV", "V")
+DURATION: Final = QuantityKind("a duration", "30 s", "s")
+TEMPERATURE: Final = QuantityKind("a temperature", "23 degC", "degC", only=("degC",))
+SCALE_FACTOR: Final = QuantityKind("a scale factor with its sign", "-2.18 V/g", "V/g")
+ACCELERATION: Final = QuantityKind("an acceleration in local gravity", "3e-4 g", "g")
+GRAVITY: Final = QuantityKind("an acceleration", "9.81 m/s^2", "m/s^2")
+LENGTH: Final = QuantityKind("a length", "180 m", "m")
+FREQUENCY: Final = QuantityKind("a frequency", "50 Hz", "Hz")
+RATIO: Final = QuantityKind("a plain number", "0.01", "")
 
 
 @cache
@@ -110,7 +110,7 @@ def _factor(unit: str, si: str) -> float | None:
     return float(one.to(wanted).magnitude) if one.is_compatible_with(wanted) else None
 
 
-def parse_quantity(text: object, kind: Kind) -> float:
+def parse_quantity(text: object, kind: QuantityKind) -> float:
     """Return the value in the SI unit of `kind`, for a text such as "90 arcsec".
 
     Raises `ValueError` with one sentence for anything else: no number, no unit, an unknown unit, a unit of
@@ -136,7 +136,7 @@ def parse_quantity(text: object, kind: Kind) -> float:
     return value
 
 
-def _factor_of(unit: str, kind: Kind, text: str) -> float | None:
+def _factor_of(unit: str, kind: QuantityKind, text: str) -> float | None:
     if not unit:
         return 1.0
     if _UNIT.fullmatch(unit) is None:
@@ -147,7 +147,7 @@ def _factor_of(unit: str, kind: Kind, text: str) -> float | None:
         raise ValueError(f"{kind.expected}, got '{text}' ({error})") from None
 
 
-def _reads(kind: Kind) -> BeforeValidator:
+def _reads(kind: QuantityKind) -> BeforeValidator:
     def read(value: object) -> float:
         return parse_quantity(value, kind)
 
@@ -166,7 +166,7 @@ FrequencyHz = Annotated[float, _reads(FREQUENCY)]
 Ratio = Annotated[float, _reads(RATIO)]
 
 
-def not_negative(kind: Kind) -> BeforeValidator:
+def not_negative(kind: QuantityKind) -> BeforeValidator:
     """Return the validator of a size that has no sign: `Annotated[float, not_negative(DURATION)]`."""
 
     def read(value: object) -> float:

@@ -37,7 +37,7 @@ from bench.cli.source import (
 )
 from bench.files.model import ModelFile, load_model, write_model_file
 from bench.model.block import COEFFICIENTS
-from bench.readings.joined import Part, together
+from bench.readings.joined import JoinedPart, together
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _joined(sources: list[Source]) -> Job:
     for source in sources[1:]:
         _require_same_bench(first, source)
     try:
-        readings = together([Part(source.readings, _began_s(source)) for source in sources])
+        readings = together([JoinedPart(source.readings, _began_s(source)) for source in sources])
     except ValueError as problem:
         raise CommandError(f"--together: {problem}") from problem
     # a model that was found in any of the sources has seen a part of the whole

@@ -30,7 +30,7 @@ from bench.cli.quantities import named, quantity
 from bench.cli.source import bench_path, check_target, write_json
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_procedure
-from bench.model import ForwardModel, Mount
+from bench.model import ForwardModel, Mounting
 from bench.model.geometry import specific_force_on_platform
 from bench.procedure.check import check as check_against
 from bench.procedure.load import load_procedure
@@ -169,7 +169,7 @@ def _times(request: Request) -> Times:
     return times
 
 
-def _mounts(request: Request, bench: BenchFile) -> list[Mount]:
+def _mounts(request: Request, bench: BenchFile) -> list[Mounting]:
     """The mountings to choose from: without a word 1 and 2, all where the third mounting angle is stated.
 
     Where it is taken for zero, a plan with other installations would believe them to fix the block's axes.
@@ -184,7 +184,7 @@ def _mounts(request: Request, bench: BenchFile) -> list[Mount]:
             f"--installations: {bench.name} has no installation {', '.join(strange)} for a calibration "
             f"(it has {', '.join(known)}); state it in the bench file"
         )
-    return [Mount(series, label) for series in range(1, request.visits + 1) for label in labels]
+    return [Mounting(series, label) for series in range(1, request.visits + 1) for label in labels]
 
 
 def _roll_stated(bench: BenchFile) -> bool:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from bench.base.units import Kind, parse_quantity
+from bench.base.units import QuantityKind, parse_quantity
 from bench.cli import CommandError
 
 
-def quantity(option: str, text: str, kind: Kind, *, plain: bool = True) -> float:
+def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:
     """Return the SI value of an option; a `plain` number is in the SI unit already.
 
     Raises `CommandError` with the option for anything else.

@@ -16,7 +16,7 @@ from bench.readings.csv import format_csv, read_csv
 from bench.run.folder import BENCH, IMPORTED, Run, all_runs, checked_name, find_run
 from bench.run.record import Record, RecordError, is_being_written
 from bench.run.resume import resume_point
-from bench.run.states import ENDED, State
+from bench.run.states import ENDED, RunState
 from bench.run.terminal import duration
 from drivers.clock import utc_now
 
@@ -82,7 +82,7 @@ def _told_state(run: Run) -> tuple[str, str]:
         return state.value, ""
     if is_being_written(run.folder):
         return state.value, ""
-    alive = {State.READY: "not begun", State.RUNNING: "unfinished", State.PAUSED: "unfinished"}
+    alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
     return alive.get(state, state.value), f"bench resume {run.name}"
 
 

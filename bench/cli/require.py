@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from bench.analysis.budget import Setup, Source, bench_sources, make_setup
+from bench.analysis.budget import ErrorSource, Setup, bench_sources, make_setup
 from bench.analysis.budget.estimators import ESTIMATORS, estimator_name
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.planning.requirements import (
@@ -21,7 +21,7 @@ from bench.analysis.planning.requirements import (
 from bench.base.units import ACCELERATION, SCALE_FACTOR, VOLTAGE
 from bench.cli import CommandError
 from bench.cli.quantities import named, quantity
-from bench.cli.require_printing import Alternative, Answer, Request, tell
+from bench.cli.require_printing import Alternative, Request, RequirementAnswer, tell
 from bench.cli.source import bench_path, check_target, write_json
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_procedure
@@ -61,7 +61,7 @@ def require(request: Request) -> int:
     names = [s.name for s in sources if s.u > 0]
     costs = _costs(request, names)
     balanced, unbalanced = _balanced(asked, names, costs)
-    answer = Answer(
+    answer = RequirementAnswer(
         asked,
         unit,
         _up_to_g(request, bench) if request.of in ACCELERATIONS else None,
@@ -138,7 +138,7 @@ def _balanced(
         return (), str(error)
 
 
-def _beside(asked: Requirement, every: Sequence[Source], counting_all: Target) -> float:
+def _beside(asked: Requirement, every: Sequence[ErrorSource], counting_all: Target) -> float:
     """What was not counted adds by itself, as k u: other sources, and the reading in use."""
     whole = replace(asked, sources=tuple(every), target=counting_all)
     return math.sqrt(max(whole.reached() ** 2 - asked.reached() ** 2, 0.0))
@@ -161,7 +161,9 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
         yield from _alternative(replace(asked, setup=setup), dominant, other, bench)
 
 
-def _alternative(asked: Requirement, dominant: Source, plan: Plan, bench: BenchFile) -> Iterator[Alternative]:
+def _alternative(
+    asked: Requirement, dominant: ErrorSource, plan: Plan, bench: BenchFile
+) -> Iterator[Alternative]:
     """What it gives; nothing where the estimator does not know such readings."""
     try:
         reached, limit = asked.reached(), asked.alone(dominant)
@@ -172,7 +174,7 @@ def _alternative(asked: Requirement, dominant: Source, plan: Plan, bench: BenchF
     yield Alternative(asked.estimator, plan.name, settings, time_s, reached, limit)
 
 
-def _to_json(answer: Answer, request: Request) -> dict[str, Any]:
+def _to_json(answer: RequirementAnswer, request: Request) -> dict[str, Any]:
     asked = answer.requirement
     shares = asked.shares()
     return {

@@ -8,7 +8,7 @@ from typing import Final
 
 from rich.table import Table
 
-from bench.analysis.budget import Source
+from bench.analysis.budget import ErrorSource
 from bench.analysis.planning.requirements import Limit, Requirement
 from bench.base.arrays import ARCSEC
 from bench.base.numbers import figures
@@ -59,7 +59,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Answer:
+class RequirementAnswer:
     """What is found; `up_to_g` is None where no acceleration is asked about, `beside` is k u not counted."""
 
     requirement: Requirement
@@ -74,7 +74,7 @@ class Answer:
     plan: Plan
 
 
-def tell(answer: Answer, request: Request) -> None:
+def tell(answer: RequirementAnswer, request: Request) -> None:
     """Print the limits, the alternatives, whether the bench as it is keeps to the accuracy."""
     out = printing.console(json=request.json)
     asked = answer.requirement
@@ -99,7 +99,7 @@ def tell(answer: Answer, request: Request) -> None:
         out.print(_not_counted(answer, request))
 
 
-def _not_counted(answer: Answer, request: Request) -> str:
+def _not_counted(answer: RequirementAnswer, request: Request) -> str:
     asked, of_coefficients = answer.requirement, request.of in COEFFICIENTS
     left_out = []
     if not request.every_source:
@@ -115,7 +115,7 @@ def _not_counted(answer: Answer, request: Request) -> str:
     )
 
 
-def _limit_table(answer: Answer, request: Request) -> Table:
+def _limit_table(answer: RequirementAnswer, request: Request) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("error")
     table.add_column("as", justify="left")
@@ -138,7 +138,7 @@ def _limit_table(answer: Answer, request: Request) -> Table:
     return table
 
 
-def _alternative_table(answer: Answer) -> Table:
+def _alternative_table(answer: RequirementAnswer) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("estimator")
     table.add_column("procedure")
@@ -157,7 +157,7 @@ def _alternative_table(answer: Answer) -> Table:
     return table
 
 
-def _form(source: Source) -> str:
+def _form(source: ErrorSource) -> str:
     """How the bench file states the size: limits of a rectangle, or so many sigma."""
     distribution = source.distribution
     return "limits" if distribution.shape == "rectangular" else f"k = {distribution.k:g}"
@@ -167,7 +167,7 @@ def _told(limit: Limit) -> str:
     return limit.verdict if limit.stated is None else _size(limit.stated, limit.source, down=True)
 
 
-def _size(value: float, source: Source, *, down: bool = False) -> str:
+def _size(value: float, source: ErrorSource, *, down: bool = False) -> str:
     unit, size = _SHOWN.get(source.unit, (f" {source.unit}", 1.0))
     return f"{figures(value / size, down=down)}{unit}"
 

@@ -7,10 +7,10 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import Kind, TemperatureC, not_negative
+from bench.base.units import QuantityKind, TemperatureC, not_negative
 from bench.devices.wires import IdentityPattern, PortSection, WiredForm, driver_of, resource_on
 
-DIFFERENCE: Final = Kind("a difference of temperatures", "2 K", "K", only=("K", "mK"))
+DIFFERENCE: Final = QuantityKind("a difference of temperatures", "2 K", "K", only=("K", "mK"))
 
 SizeK = Annotated[float, not_negative(DIFFERENCE)]
 

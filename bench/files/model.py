@@ -18,8 +18,8 @@ from pydantic import Field
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.form_mistakes import Place, unknown_word
-from bench.base.forms import FileMistakes, FileModel, Mistake, load_validated
-from bench.base.units import Kind, parse_quantity
+from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated
+from bench.base.units import QuantityKind, parse_quantity
 from bench.model import CATALOGUE, AppliedEffect, Parameter
 from drivers.interfaces import Channel
 
@@ -80,7 +80,7 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
     """
     model = load_validated(path, ModelFile)
     mistakes = [
-        Mistake(0, f"effects[{index}].installations", text)
+        FileMistake(0, f"effects[{index}].installations", text)
         for index, entry in enumerate(model.effects, start=1)
         for text in _mounting_mistakes(entry.installations, installations)
     ]
@@ -158,7 +158,7 @@ class _Reader:
         self._channels = channels
         unit = "" if parameter.unit == "1" else parameter.unit
         size = parameter.plausible / parameter.si_per_unit
-        self._kind = Kind(f"a value of {parameter.name}", f"{size:.3g} {unit}".strip(), unit)
+        self._kind = QuantityKind(f"a value of {parameter.name}", f"{size:.3g} {unit}".strip(), unit)
         shape = (3,) if parameter.per_channel else ()
         self.values: Floats = np.zeros(shape)
         self.u: Floats = np.zeros(shape)
@@ -246,7 +246,7 @@ def write_model_file(
             file.write(text)
     except FileExistsError:
         problem = "this model file exists and is not overwritten; give another name"
-        raise FileMistakes(path, [Mistake(0, "", problem)]) from None
+        raise FileMistakes(path, [FileMistake(0, "", problem)]) from None
 
 
 def _written_effect(applied: AppliedEffect) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import difflib
 from pathlib import Path
 from typing import Final
 
-from bench.base.forms import FileMistakes, Mistake
+from bench.base.forms import FileMistake, FileMistakes
 
 PROCEDURES: Final = "procedures"
 CONFIG: Final = "config"
@@ -51,7 +51,7 @@ def _find(name: str, kind: str, called: str) -> Path:
     hint = f"did you mean {' or '.join(near)}? " if near else ""
     listed = ", ".join(known)
     text = f"there is no such file, and no shipped {called} of that name; {hint}shipped are: {listed}"
-    raise FileMistakes(name, [Mistake(0, "", text)])
+    raise FileMistakes(name, [FileMistake(0, "", text)])
 
 
 def copy_shipped(target: Path) -> list[Path]:

@@ -1,7 +1,7 @@
 """The forward model: geometry of the stand, the block, effects. One definition serves simulation and fit."""
 
 from bench.model.block import Block
-from bench.model.conditions import REFERENCE_C, Conditions, Mount
+from bench.model.conditions import REFERENCE_C, Conditions, Mounting
 from bench.model.distribution import Distribution
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Stage, Subsystem
 from bench.model.forward import ForwardModel
@@ -18,7 +18,7 @@ __all__ = [
     "Effect",
     "ForwardModel",
     "Installation",
-    "Mount",
+    "Mounting",
     "Parameter",
     "Stage",
     "Subsystem",

@@ -21,7 +21,7 @@ REMOUNT_S: Final = 1200.0
 """What a remount takes beside that, s."""
 
 
-class Mount(NamedTuple):
+class Mounting(NamedTuple):
     """One mounting of the block: the angles of the stand stay what they are as long as it lasts."""
 
     series: int
@@ -43,7 +43,7 @@ class Conditions:
     the head, NaN for an installation that it does not know.
     """
 
-    mounts: tuple[Mount, ...]
+    mounts: tuple[Mounting, ...]
     mount: Ints
     pass_number: Ints
     point: Ints
@@ -117,7 +117,7 @@ class Conditions:
         The scan order that is left out is x, y, z.
         """
         n = len(installation)
-        keys = [Mount(s, label) for s, label in zip(series or [1] * n, installation, strict=True)]
+        keys = [Mounting(s, label) for s, label in zip(series or [1] * n, installation, strict=True)]
         mounts = tuple(dict.fromkeys(keys))
         order = [(0, 1, 2)] * n if scan_order is None else scan_order
         unknown = [float("nan")] * n

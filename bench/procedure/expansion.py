@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from bench.base.form_mistakes import Place
-from bench.base.forms import Document, Mistake
+from bench.base.forms import Document, FileMistake
 from bench.procedure.file import (
     IncludedFile,
     InputVerb,
@@ -99,7 +99,7 @@ class Expansion:
     """
 
     def __init__(self, documents: Mapping[Path, Document], files: Mapping[Path, IncludedFile]) -> None:
-        self.mistakes: list[tuple[Document, Mistake]] = []
+        self.mistakes: list[tuple[Document, FileMistake]] = []
         self._documents = documents
         self._files = files
         self._steps: list[Step] = []

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.form_mistakes import Place
-from bench.base.forms import Document, FileMistakes, Mistake, load_document, part, validated
+from bench.base.forms import Document, FileMistake, FileMistakes, load_document, part, validated
 from bench.procedure.check import check
 from bench.procedure.expansion import Expansion
 from bench.procedure.file import IncludedFile, ProcedureFile
@@ -51,7 +51,7 @@ def load_procedure(path: Path) -> Procedure:
     return Procedure(name, root.title, tuple(d.path for d in tree.documents.values()), tree.sha256, plan)
 
 
-def _in_order(mistake: Mistake) -> tuple[str, int, str, str]:
+def _in_order(mistake: FileMistake) -> tuple[str, int, str, str]:
     return mistake.file, mistake.line, mistake.place, mistake.text
 
 
@@ -61,7 +61,7 @@ class _Tree:
     def __init__(self, path: Path) -> None:
         self.documents: dict[Path, Document] = {}
         self.files: dict[Path, IncludedFile] = {}
-        self.mistakes: list[Mistake] = []
+        self.mistakes: list[FileMistake] = []
         self._root = load_document(path)
         self._read(self._root, ProcedureFile, ())
         self._check_scopes(
@@ -74,7 +74,7 @@ class _Tree:
         digests = [document.sha256 for document in self.documents.values()]
         return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
-    def located(self, document: Document, mistake: Mistake) -> Mistake:
+    def located(self, document: Document, mistake: FileMistake) -> FileMistake:
         """Return the mistake with the name of its file, where that is an included one."""
         return mistake if document is self._root else replace(mistake, file=str(document.path))
 

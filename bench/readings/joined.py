@@ -16,14 +16,14 @@ BETWEEN_S: Final = 3600.0
 
 
 @dataclass(frozen=True)
-class Part:
+class JoinedPart:
     """A table and the time at which its clock began, s of any common clock; None where it is not known."""
 
     readings: Readings
     began_s: float | None = None
 
 
-def together(parts: Sequence[Part]) -> Readings:
+def together(parts: Sequence[JoinedPart]) -> Readings:
     """Return one table of several, in the order in which they were measured.
 
     Series are renumbered so that no mounting of one table is taken for one of another: the first table keeps
@@ -60,7 +60,7 @@ def _elapsed_s(table: Readings) -> Floats:
     return np.asarray(elapsed - elapsed[0])
 
 
-def _starts(parts: Sequence[Part]) -> tuple[list[Part], list[float], bool]:
+def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float], bool]:
     """Return the tables in order, when the first reading of each was taken, s, and whether that is measured."""
     lasts = {id(part): float(_elapsed_s(part.readings).max()) for part in parts}
     known = [p.began_s + _first_s(p.readings) for p in parts if p.began_s is not None]

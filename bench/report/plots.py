@@ -19,7 +19,7 @@ from bench.analysis.calibration import Calibration, Verification
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.numbers import MINUS, Scale, scale_for
 from bench.model.block import COEFFICIENTS
-from bench.model.conditions import Mount
+from bench.model.conditions import Mounting
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -224,7 +224,7 @@ def compared_coefficients(calibration: Calibration, compared: Calibration) -> st
 # --- what the figures show --------------------------------------------------------------------------
 
 
-def mounts_of(calibration: Calibration) -> list[tuple[Mount, Mask]]:
+def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
     """Return each mounting of the fitted readings with its rows as a mask (n,)."""
     conditions = calibration.fitted.conditions()
     return [(mount, conditions.mount == index) for index, mount in enumerate(conditions.mounts)]

@@ -15,7 +15,7 @@ SIGN: Final = ":"
 
 
 @dataclass(frozen=True)
-class Control:
+class RunControl:
     """A wish, the reason given for it, and whether the person at the prompt has it (or another program)."""
 
     wish: Wish
@@ -26,7 +26,7 @@ class Control:
 class OperatorWish(Exception):
     """The person answered a prompt with a wish; the step that asked is not done."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, control: RunControl) -> None:
         super().__init__(control.wish.value)
         self.control = control
 
@@ -34,7 +34,7 @@ class OperatorWish(Exception):
 class Controls(Protocol):
     """Where wishes come from."""
 
-    def poll(self) -> Control | None:
+    def poll(self) -> RunControl | None:
         """Return the next wish, None where there is none."""
         ...
 
@@ -42,7 +42,7 @@ class Controls(Protocol):
 class NoControls:
     """Nobody has a wish."""
 
-    def poll(self) -> Control | None:
+    def poll(self) -> RunControl | None:
         """Return None."""
         return None
 
@@ -54,7 +54,7 @@ class ControlFile:
         self._path = folder / CONTROL
         self._heard = self._path.stat().st_size if self._path.exists() else 0
 
-    def poll(self) -> Control | None:
+    def poll(self) -> RunControl | None:
         """Return the next wish; a half-written line waits, one that is no wish is passed over."""
         try:
             with self._path.open("rb") as file:
@@ -67,19 +67,19 @@ class ControlFile:
         self._heard += len(line)
         try:
             said = json.loads(line)
-            return Control(Wish(said["wish"]), str(said.get("reason", "")))
+            return RunControl(Wish(said["wish"]), str(said.get("reason", "")))
         except (ValueError, KeyError, TypeError, AttributeError):
             return None
 
 
-def leave_wish(folder: Path, control: Control) -> None:
+def leave_wish(folder: Path, control: RunControl) -> None:
     """Leave a wish in the folder of a run. Raises `OSError` where it cannot be written."""
     line = json.dumps({"wish": control.wish.value, "reason": control.reason}, ensure_ascii=False)
     with (folder / CONTROL).open("a", encoding="utf-8") as file:
         file.write(line + "\n")
 
 
-def parse_wish(text: str) -> Control:
+def parse_wish(text: str) -> RunControl:
     """Read a wish as typed, such as ":skip the cable came loose", with or without the sign.
 
     Raises `ValueError` with the list of wishes for anything else, and for a skip without a reason.
@@ -92,4 +92,4 @@ def parse_wish(text: str) -> Control:
         raise ValueError(f"{SIGN}{word} is no wish; there are {known}") from None
     if wish is Wish.SKIP and not reason.strip():
         raise ValueError(f"say why: {SIGN}skip REASON")
-    return Control(wish, reason.strip(), by_person=True)
+    return RunControl(wish, reason.strip(), by_person=True)

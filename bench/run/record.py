@@ -19,7 +19,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from bench.run.states import State, state_after
+from bench.run.states import RunState, state_after
 
 EVENTS: Final = "events.jsonl"
 MANIFEST: Final = "run.json"
@@ -52,7 +52,7 @@ class History:
     torn: str = ""
 
     @property
-    def state(self) -> State:
+    def state(self) -> RunState:
         """What became of the run; "running" and "paused" also stand for one whose program died."""
         return state_after([event.type for event in self.events])
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
-from bench.run.control import Control, Controls, NoControls, OperatorWish
+from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.prompts import confirm
 from bench.run.record import Event, Record, RecordError
 from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
 from bench.run.settling import Settling
-from bench.run.states import HEARD, TRANSITIONS, State, Wish
+from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
 from bench.run.workbench import NAP_S, Instruments, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import (
@@ -68,7 +68,7 @@ class Runner:
     watch: Watch = lambda reading: []
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     on_settling: Callable[[Settling], None] = lambda state: None
-    state: State = State.READY
+    state: RunState = RunState.READY
     _zero_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -195,7 +195,7 @@ class Runner:
         if control is not None:
             raise OperatorWish(control)
 
-    def _obey(self, control: Control, index: int) -> int:
+    def _obey(self, control: RunControl, index: int) -> int:
         """Do as the person wishes at step `index`; return the step to go on with."""
         if control.wish not in HEARD[self.state]:
             return self._refuse(control, index, f"the run is {self.state}")
@@ -215,25 +215,25 @@ class Runner:
                 self._change("run_aborted", reason=control.reason)
                 raise RunAborted(control.reason)
 
-    def _refuse(self, control: Control, index: int, why: str) -> int:
+    def _refuse(self, control: RunControl, index: int, why: str) -> int:
         self._emit("wish_refused", wish=control.wish.value, why=why)
         return index
 
-    def _pause(self, pause: Control, index: int) -> int:
+    def _pause(self, pause: RunControl, index: int) -> int:
         """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
         self._change("run_paused", reason=pause.reason)
-        while self.state is State.PAUSED:
+        while self.state is RunState.PAUSED:
             control = self._asked() if pause.by_person else self.controls.poll()
             if control is None:
                 self.patience.sleep(NAP_S)
                 continue
             after = self._obey(control, index)
-            if self.state is State.PAUSED and after != index:
+            if self.state is RunState.PAUSED and after != index:
                 self._change("run_continued")
             index = after
         return index
 
-    def _asked(self) -> Control:
+    def _asked(self) -> RunControl:
         """Ask the person who paused the run how to go on."""
         prompt = Prompt(
             id=f"pause@{self._now_s():.3f}",
@@ -246,9 +246,9 @@ class Runner:
             confirm(self.person, prompt)
         except OperatorWish as wish:
             return wish.control
-        return Control(Wish.CONTINUE, by_person=True)
+        return RunControl(Wish.CONTINUE, by_person=True)
 
-    def _redo(self, control: Control, index: int) -> int:
+    def _redo(self, control: RunControl, index: int) -> int:
         """Go back to the turn of the last point, or to the first turn of its pass."""
         turn = turn_before(self.plan, index)
         if turn == index:

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Final
 
 
-class State(StrEnum):
+class RunState(StrEnum):
     """What a run is doing."""
 
     READY = "ready"
@@ -19,38 +19,38 @@ class State(StrEnum):
     ABORTED = "aborted"
 
 
-TRANSITIONS: Final[Mapping[State, Mapping[str, State]]] = {
-    State.READY: {
-        "run_started": State.RUNNING,
-        "run_resumed": State.RUNNING,
-        "run_failed": State.FAILED,
-        "run_interrupted": State.INTERRUPTED,
-        "run_aborted": State.ABORTED,
+TRANSITIONS: Final[Mapping[RunState, Mapping[str, RunState]]] = {
+    RunState.READY: {
+        "run_started": RunState.RUNNING,
+        "run_resumed": RunState.RUNNING,
+        "run_failed": RunState.FAILED,
+        "run_interrupted": RunState.INTERRUPTED,
+        "run_aborted": RunState.ABORTED,
     },
-    State.RUNNING: {
-        "run_paused": State.PAUSED,
-        "run_finished": State.FINISHED,
-        "run_failed": State.FAILED,
-        "run_interrupted": State.INTERRUPTED,
-        "run_aborted": State.ABORTED,
+    RunState.RUNNING: {
+        "run_paused": RunState.PAUSED,
+        "run_finished": RunState.FINISHED,
+        "run_failed": RunState.FAILED,
+        "run_interrupted": RunState.INTERRUPTED,
+        "run_aborted": RunState.ABORTED,
     },
-    State.PAUSED: {
-        "run_continued": State.RUNNING,
-        "run_failed": State.FAILED,
-        "run_interrupted": State.INTERRUPTED,
-        "run_aborted": State.ABORTED,
+    RunState.PAUSED: {
+        "run_continued": RunState.RUNNING,
+        "run_failed": RunState.FAILED,
+        "run_interrupted": RunState.INTERRUPTED,
+        "run_aborted": RunState.ABORTED,
     },
-    State.FAILED: {"run_resumed": State.RUNNING, "run_aborted": State.ABORTED},
-    State.INTERRUPTED: {"run_resumed": State.RUNNING, "run_aborted": State.ABORTED},
-    State.FINISHED: {},
-    State.ABORTED: {},
+    RunState.FAILED: {"run_resumed": RunState.RUNNING, "run_aborted": RunState.ABORTED},
+    RunState.INTERRUPTED: {"run_resumed": RunState.RUNNING, "run_aborted": RunState.ABORTED},
+    RunState.FINISHED: {},
+    RunState.ABORTED: {},
 }
 """Which event leads from which state to which: there is no other way.
 
 A program that takes a run up again begins at READY; what the run was before stands in its record.
 """
 
-ENDED: Final = frozenset({State.FINISHED, State.ABORTED})
+ENDED: Final = frozenset({RunState.FINISHED, RunState.ABORTED})
 """States in which nothing more happens to a run."""
 
 
@@ -65,24 +65,24 @@ class Wish(StrEnum):
     ABORT = "abort"
 
 
-HEARD: Final[Mapping[State, frozenset[Wish]]] = {
-    State.RUNNING: frozenset({Wish.PAUSE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
-    State.PAUSED: frozenset({Wish.CONTINUE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
+HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
+    RunState.RUNNING: frozenset({Wish.PAUSE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
+    RunState.PAUSED: frozenset({Wish.CONTINUE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
 }
 """Which wishes are heard in which state."""
 
 
-def state_after(events: list[str]) -> State:
+def state_after(events: list[str]) -> RunState:
     """Return the state that a run's events lead to; events that change no state are passed over.
 
     Raises `ValueError` for a sequence that the table does not allow.
     """
-    state = State.READY
+    state = RunState.READY
     changing = {event for row in TRANSITIONS.values() for event in row}
     for event in events:
         if event not in changing:
             continue
-        if event == "run_resumed" and state in {State.RUNNING, State.PAUSED}:
+        if event == "run_resumed" and state in {RunState.RUNNING, RunState.PAUSED}:
             continue  # the program died without a word, and another took the run up
         if event not in TRANSITIONS[state]:
             raise ValueError(f"{event} cannot follow on {state}")

@@ -8,7 +8,7 @@ from typing import Any
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.evidence import Whitened
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.show import Simulation, show
 from bench.files.bench.file import BenchFile, load_bench
@@ -30,7 +30,7 @@ class _ByDesign(ThresholdCache):
         self.known: dict[tuple[str, float], Threshold] = {}
         self.key = ("", 0.0)
 
-    def threshold(self, linear: Linear, whitened: Whitened, setting_rad: float) -> Threshold:
+    def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
         if self.key not in self.known:
             self.known[self.key] = super().threshold(linear, whitened, setting_rad)

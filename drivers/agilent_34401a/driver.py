@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from drivers.interfaces import Channel, Identity, InstrumentRefused, VoltmeterSettings
-from drivers.scpi_voltmeter import READING_CHARACTERS, Interface, Limits, ScpiVoltmeter, Setting, is_of
+from drivers.scpi_voltmeter import READING_CHARACTERS, Interface, Limits, ProvenSetting, ScpiVoltmeter, is_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,19 +84,19 @@ class Agilent34401A(ScpiVoltmeter):
             )
         self._dialect = self.dialects[identity.model]
 
-    def _setup(self, settings: VoltmeterSettings) -> list[Setting]:
+    def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
         autozero, impedance = self._dialect.autozero, self._dialect.high_impedance
         return [
             # CONF presets the trigger and the input to 10 MOhm, so it comes first.
-            Setting(f"CONF:VOLT:DC {settings.range_v:g}", "FUNC?", '"VOLT"'),
-            Setting(None, "VOLT:DC:RANG?", settings.range_v),
-            Setting(None, "VOLT:DC:RANG:AUTO?", 0.0),
-            Setting(f"VOLT:DC:NPLC {settings.nplc:g}", "VOLT:DC:NPLC?", settings.nplc),
-            Setting(f"{autozero} ON", f"{autozero}?", 1.0),
-            Setting(f"{impedance} ON", f"{impedance}?", 1.0),
-            Setting("TRIG:SOUR IMM", "TRIG:SOUR?", "IMM"),
-            Setting("TRIG:COUN 1", "TRIG:COUN?", 1.0),
-            Setting(f"SAMP:COUN {settings.samples}", "SAMP:COUN?", float(settings.samples)),
+            ProvenSetting(f"CONF:VOLT:DC {settings.range_v:g}", "FUNC?", '"VOLT"'),
+            ProvenSetting(None, "VOLT:DC:RANG?", settings.range_v),
+            ProvenSetting(None, "VOLT:DC:RANG:AUTO?", 0.0),
+            ProvenSetting(f"VOLT:DC:NPLC {settings.nplc:g}", "VOLT:DC:NPLC?", settings.nplc),
+            ProvenSetting(f"{autozero} ON", f"{autozero}?", 1.0),
+            ProvenSetting(f"{impedance} ON", f"{impedance}?", 1.0),
+            ProvenSetting("TRIG:SOUR IMM", "TRIG:SOUR?", "IMM"),
+            ProvenSetting("TRIG:COUN 1", "TRIG:COUN?", 1.0),
+            ProvenSetting(f"SAMP:COUN {settings.samples}", "SAMP:COUN?", float(settings.samples)),
         ]
 
     def _reading_time_s(self, settings: VoltmeterSettings, character_time_s: float) -> float:

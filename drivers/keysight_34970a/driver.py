@@ -18,8 +18,8 @@ from drivers.scpi_voltmeter import (
     READING_CHARACTERS,
     Interface,
     Limits,
+    ProvenSetting,
     ScpiVoltmeter,
-    Setting,
     is_of,
 )
 
@@ -107,7 +107,7 @@ class Keysight34970A(ScpiVoltmeter):
                 "check the address in the bench file",
             )
 
-    def _setup(self, settings: VoltmeterSettings) -> list[Setting]:
+    def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
         listed = f"(@{','.join(map(str, self._numbers))})"
         every = len(self._numbers)
 
@@ -116,27 +116,32 @@ class Keysight34970A(ScpiVoltmeter):
 
         return [
             # CONF presets delay, input resistance (10 MOhm), trigger and reading format, so it comes first.
-            Setting(
+            ProvenSetting(
                 f"CONF:VOLT:DC {settings.range_v:g},DEF,{listed}",
                 f"FUNC? {listed}",
                 ",".join(['"VOLT"'] * every),
             ),
-            Setting(None, f"VOLT:DC:RANG? {listed}", each(settings.range_v)),
-            Setting(None, f"VOLT:DC:RANG:AUTO? {listed}", each(0.0)),
-            Setting(
+            ProvenSetting(None, f"VOLT:DC:RANG? {listed}", each(settings.range_v)),
+            ProvenSetting(None, f"VOLT:DC:RANG:AUTO? {listed}", each(0.0)),
+            ProvenSetting(
                 f"VOLT:DC:NPLC {settings.nplc:g},{listed}", f"VOLT:DC:NPLC? {listed}", each(settings.nplc)
             ),
-            Setting(f"ZERO:AUTO ON,{listed}", f"ZERO:AUTO? {listed}", each(1.0)),
-            Setting(f"INP:IMP:AUTO ON,{listed}", f"INP:IMP:AUTO? {listed}", each(1.0)),
-            Setting(
+            ProvenSetting(f"ZERO:AUTO ON,{listed}", f"ZERO:AUTO? {listed}", each(1.0)),
+            ProvenSetting(f"INP:IMP:AUTO ON,{listed}", f"INP:IMP:AUTO? {listed}", each(1.0)),
+            ProvenSetting(
                 f"ROUT:CHAN:DEL {self._channel_delay_s:g},{listed}",
                 f"ROUT:CHAN:DEL? {listed}",
                 each(self._channel_delay_s),
             ),
-            Setting(f"ROUT:SCAN {listed}", "ROUT:SCAN?", f"#{len(str(len(listed)))}{len(listed)}{listed}"),
-            *(Setting(f"FORM:READ:{extra} OFF", f"FORM:READ:{extra}?", 0.0) for extra in _READING_EXTRAS),
-            Setting("TRIG:SOUR IMM", "TRIG:SOUR?", "IMM"),
-            Setting(f"TRIG:COUN {settings.samples}", "TRIG:COUN?", float(settings.samples)),
+            ProvenSetting(
+                f"ROUT:SCAN {listed}", "ROUT:SCAN?", f"#{len(str(len(listed)))}{len(listed)}{listed}"
+            ),
+            *(
+                ProvenSetting(f"FORM:READ:{extra} OFF", f"FORM:READ:{extra}?", 0.0)
+                for extra in _READING_EXTRAS
+            ),
+            ProvenSetting("TRIG:SOUR IMM", "TRIG:SOUR?", "IMM"),
+            ProvenSetting(f"TRIG:COUN {settings.samples}", "TRIG:COUN?", float(settings.samples)),
         ]
 
     def _reading_time_s(self, settings: VoltmeterSettings, character_time_s: float) -> float:

@@ -61,7 +61,7 @@ _DC_FAST_SETTLING_S: Final = 1.0e-3
 _QUICK_TEST_S: Final = 3e-3
 
 
-class Source(Protocol):
+class MeteredSignal(Protocol):
     """What a meter is wired to: one channel of the world."""
 
     @property
@@ -126,7 +126,9 @@ class Converter:
     `overloaded` is set, every sample is beyond the range.
     """
 
-    def __init__(self, source: Source, *, noise: bool, accuracy: Accuracy | None, line_hz: float) -> None:
+    def __init__(
+        self, source: MeteredSignal, *, noise: bool, accuracy: Accuracy | None, line_hz: float
+    ) -> None:
         self._source = source
         self._noise = noise
         self._accuracy = accuracy

@@ -9,13 +9,25 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
-from sim.agilent_34401a.converter import Accuracy, Converter, Source
+from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal
 from sim.agilent_34401a.functions import FUNCTIONS, Configuration, Function
 from sim.agilent_34401a.math import Math
 from sim.agilent_34401a.trigger import Trigger
 from sim.scpi.instrument import Command, ScpiInstrument
 from sim.scpi.status import DEVICE_ERROR, ScpiError
-from sim.scpi.values import DEF, MAX, MIN, Boolean, Number, Parameter, Text, Value, Word, integer, quoted
+from sim.scpi.values import (
+    DEF,
+    MAX,
+    MIN,
+    Boolean,
+    CommandParameter,
+    Number,
+    Text,
+    Value,
+    Word,
+    integer,
+    quoted,
+)
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -64,7 +76,7 @@ class Agilent34401A(ScpiInstrument):
 
     def __init__(
         self,
-        source: Source,
+        source: MeteredSignal,
         clock: Clock,
         *,
         interface: Interface = "lan",
@@ -186,7 +198,7 @@ class Agilent34401A(ScpiInstrument):
     def _measure_commands(self) -> list[Command]:
         lines = []
         for function in FUNCTIONS.values():
-            parameters: tuple[Parameter, ...] = ()
+            parameters: tuple[CommandParameter, ...] = ()
             if function.subsystem or function.keeps_range_of:
                 words = (MIN, MAX, DEF)
                 parameters = (Number(function.unit, words, optional=True),) * 2

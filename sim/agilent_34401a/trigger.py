@@ -31,7 +31,7 @@ _LONGEST_DELAY_S: Final = 3600.0
 _INFINITE: Final = "9.90000000E+37"
 
 
-class State(Enum):
+class TriggerState(Enum):
     """Where the trigger system stands."""
 
     IDLE = "idle"
@@ -78,7 +78,7 @@ class Trigger:
 
     def abort(self) -> None:
         """Go to idle and forget what is stored or under way."""
-        self.state = State.IDLE
+        self.state = TriggerState.IDLE
         self._memory: list[str] = []
         self._readings: list[str] = []
         self._times_s: list[float] = []
@@ -110,7 +110,7 @@ class Trigger:
         if self.source == "BUS":
             raise ScpiError(-214)
         self._begin(keeps=self.keeps_latest)
-        if self.state is State.WAITING:
+        if self.state is TriggerState.WAITING:
             return None
         self.complete()
         return ",".join(self._readings)
@@ -123,13 +123,13 @@ class Trigger:
 
     def trigger(self, source: str) -> None:
         """Take the samples of one trigger from "BUS" or "EXT"; -211 when the meter does not wait for it."""
-        if self.state is not State.WAITING or self.source != source:
+        if self.state is not TriggerState.WAITING or self.source != source:
             raise ScpiError(-211)
         self._schedule(1)
 
     def complete(self) -> None:
         """Wait for the measurement under way, if any. Raises `DeviceClear` when one comes in meanwhile."""
-        if self.state is not State.MEASURING:
+        if self.state is not TriggerState.MEASURING:
             return
         if not wait_until(self._clock, self._finish_s, self._interrupted):
             raise DeviceClear
@@ -138,12 +138,12 @@ class Trigger:
     @property
     def in_progress(self) -> bool:
         """Whether samples are still being taken at this moment."""
-        return self.state is State.MEASURING and self._clock.now_s() < self._finish_s
+        return self.state is TriggerState.MEASURING and self._clock.now_s() < self._finish_s
 
     def _require_idle(self) -> None:
-        if self.state is State.MEASURING and not self.in_progress:
+        if self.state is TriggerState.MEASURING and not self.in_progress:
             self._collect()
-        if self.state is not State.IDLE:
+        if self.state is not TriggerState.IDLE:
             raise ScpiError(-213)
 
     def _begin(self, keeps: bool) -> None:
@@ -157,7 +157,7 @@ class Trigger:
         if self.source == "IMM":
             self._schedule(int(self.trigger_count))
         else:
-            self.state = State.WAITING
+            self.state = TriggerState.WAITING
 
     def _schedule(self, triggers: int) -> None:
         """Fix when the samples of the next triggers are taken: each after its delay, in mid-integration."""
@@ -170,7 +170,7 @@ class Trigger:
         self._times_s = [start_s + i * step_s + middle_s for i in range(samples)]
         self._finish_s = start_s + samples * step_s
         self._triggers_left -= triggers
-        self.state = State.MEASURING
+        self.state = TriggerState.MEASURING
 
     def _collect(self) -> None:
         """Take the samples that are due: the source knows what the signal was at their times."""
@@ -183,7 +183,7 @@ class Trigger:
         if self._keeps:
             self._memory = self._readings[-self.memory_depth :]
         self._times_s = []
-        self.state = State.WAITING if self._triggers_left > 0 else State.IDLE
+        self.state = TriggerState.WAITING if self._triggers_left > 0 else TriggerState.IDLE
 
     def _delay_s(self) -> float:
         return self._converter.settling_s(self._configuration) if self.delay_s is None else self.delay_s
@@ -222,8 +222,8 @@ class Trigger:
 
     def stop_waiting(self) -> None:
         """Return to idle when waiting for a trigger: the measurement that was asked for is no longer set."""
-        if self.state is State.WAITING:
-            self.state = State.IDLE
+        if self.state is TriggerState.WAITING:
+            self.state = TriggerState.IDLE
 
     def _set_delay(self, value: Value) -> None:
         limits_s = {MIN: 0.0, MAX: _LONGEST_DELAY_S}

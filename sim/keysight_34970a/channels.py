@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from sim.agilent_34401a.converter import Source
+    from sim.agilent_34401a.converter import MeteredSignal
 
 NPLC_BY_RESOLUTION: Final = {
     2.2e-7: 200.0, 3e-7: 100.0, 8e-7: 20.0, 1e-6: 10.0, 2.2e-6: 2.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02,
@@ -132,13 +132,13 @@ class ChannelConfiguration:
 
 
 class CardInput:
-    """One channel of the card, a `Source`: what is wired to it, seen through the converter all share.
+    """One channel of the card, a `MeteredSignal`: what is wired to it, seen through the converter all share.
 
     `common` stands for the meter itself, whose gain and offset are the same for all channels. With nothing
     wired (`wired` None) the open input reads zero.
     """
 
-    def __init__(self, wired: Source | None, common: Source) -> None:
+    def __init__(self, wired: MeteredSignal | None, common: MeteredSignal) -> None:
         self._wired = wired
         self._common = common
 

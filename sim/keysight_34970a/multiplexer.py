@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
-from sim.agilent_34401a.converter import Accuracy, Converter, Source
+from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal
 from sim.keysight_34970a.channels import (
     CARDS,
     DC_VOLTS,
@@ -27,8 +27,8 @@ from sim.scpi.values import (
     MAX,
     MIN,
     Boolean,
+    CommandParameter,
     Number,
-    Parameter,
     Text,
     Value,
     integer,
@@ -76,7 +76,7 @@ class Keysight34970A(ScpiInstrument):
 
     def __init__(
         self,
-        wiring: Mapping[int, Source],
+        wiring: Mapping[int, MeteredSignal],
         clock: Clock,
         *,
         model: Model = "34970A",
@@ -243,7 +243,7 @@ class Keysight34970A(ScpiInstrument):
     def _lines(
         self,
         notation: str,
-        parameter: Parameter,
+        parameter: CommandParameter,
         change: Callable[[ChannelConfiguration, Value], None],
         show: Callable[[ChannelConfiguration], str],
     ) -> list[Command]:

@@ -12,7 +12,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from sim.agilent_34401a.converter import OVERLOAD, reading_text
-from sim.agilent_34401a.trigger import State
+from sim.agilent_34401a.trigger import TriggerState
 from sim.scpi.instrument import Command, DeviceClear
 from sim.scpi.status import ScpiError
 from sim.scpi.values import INF, MAX, MIN, Boolean, Choice, Number, Value, integer, within
@@ -65,7 +65,7 @@ class Scan:
 
     def abort(self) -> None:
         """ABORt, device clear: go to idle; nothing is left in memory."""
-        self.state = State.IDLE
+        self.state = TriggerState.IDLE
         self._memory: list[str] = []
         self._readings: list[str] = []
         self._due: list[tuple[int, float]] = []
@@ -89,7 +89,7 @@ class Scan:
         if self.source == "BUS":
             raise ScpiError(-214)
         self._begin(stores=False)
-        if self.state is State.WAITING:
+        if self.state is TriggerState.WAITING:
             return None
         self.complete()
         return ",".join(self._readings)
@@ -110,21 +110,21 @@ class Scan:
 
     def trigger(self, source: str) -> None:
         """Sweep once for a trigger from "BUS" or "EXT"; -211 when the meter does not wait for it."""
-        if self.state is not State.WAITING or self.source != source:
+        if self.state is not TriggerState.WAITING or self.source != source:
             raise ScpiError(-211)
         self._schedule(1)
 
     def complete(self) -> None:
         """Wait for the sweeps under way. Raises `DeviceClear` when one comes in meanwhile."""
-        if self.state is State.MEASURING:
+        if self.state is TriggerState.MEASURING:
             if not wait_until(self._clock, self._finish_s, self._interrupted):
                 raise DeviceClear
             self._collect()
 
     def _begin(self, stores: bool) -> None:
-        if self.state is State.MEASURING and self._clock.now_s() >= self._finish_s:
+        if self.state is TriggerState.MEASURING and self._clock.now_s() >= self._finish_s:
             self._collect()
-        if self.state is not State.IDLE:
+        if self.state is not TriggerState.IDLE:
             raise ScpiError(-213)
         if not self.channel_list or self.count * len(self.channel_list) > MEMORY_DEPTH:
             raise ScpiError(_CANNOT)
@@ -137,7 +137,7 @@ class Scan:
         if self.source in ("IMM", "TIM"):
             self._schedule(int(self.count))
         else:
-            self.state = State.WAITING
+            self.state = TriggerState.WAITING
 
     def _schedule(self, sweeps: int) -> None:
         """Fix when the samples of the next sweeps are taken, each in mid-integration."""
@@ -152,7 +152,7 @@ class Scan:
                 now_s += converter.sample_s(configuration)
         self._finish_s = now_s
         self._left -= sweeps
-        self.state = State.MEASURING
+        self.state = TriggerState.MEASURING
 
     def _collect(self) -> None:
         for channel, time_s in self._due:
@@ -164,7 +164,7 @@ class Scan:
         if self._stores:
             self._memory = self._readings[-MEMORY_DEPTH:]
         self._due = []
-        self.state = State.WAITING if self._left > 0 else State.IDLE
+        self.state = TriggerState.WAITING if self._left > 0 else TriggerState.IDLE
 
     def _text(self, channel: int, time_s: float, value: float, step: float) -> str:
         text = reading_text(value, step) + (" VDC" if self.extras["UNIT"] else "")

@@ -25,7 +25,7 @@ from sim.scpi.values import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from sim.scpi.values import Parameter
+    from sim.scpi.values import CommandParameter
 
 _HEADER: Final = re.compile(
     r"(?:\*[A-Za-z][A-Za-z0-9_]*|:?[A-Za-z][A-Za-z0-9_]*(?::[A-Za-z][A-Za-z0-9_]*)*)\??\Z"
@@ -53,7 +53,7 @@ class Command:
 
     notation: str
     action: Callable[..., str | None]
-    parameters: tuple[Parameter, ...] = ()
+    parameters: tuple[CommandParameter, ...] = ()
 
 
 class ScpiInstrument:
@@ -186,7 +186,7 @@ class ScpiInstrument:
     # --- common commands ----------------------------------------------------------------------------
 
     def _common_commands(self) -> list[Command]:
-        byte: tuple[Parameter, ...] = (Number(words=()),)
+        byte: tuple[CommandParameter, ...] = (Number(words=()),)
         return [
             Command("*CLS", self._clear_status),
             Command("*ESE", self._set_event_enable, byte),

@@ -71,7 +71,7 @@ def split_outside_quotes(text: str, separator: str) -> list[str]:
     return [*parts, text[start:]]
 
 
-class Parameter(Protocol):
+class CommandParameter(Protocol):
     """One parameter of a command: turns the text that was sent into a value."""
 
     @property
@@ -209,7 +209,7 @@ def _non_decimal(base: str, digits: str) -> float:
         raise ScpiError(-123) from None
 
 
-def parse_parameters(specified: Sequence[Parameter], text: str) -> list[Value]:
+def parse_parameters(specified: Sequence[CommandParameter], text: str) -> list[Value]:
     """Return the values of a command's parameters, those left out at the end not in the list.
 
     Raises `ScpiError`: -108 for too many, -109 for too few, and what the parameters raise.

@@ -54,7 +54,7 @@ class ControlError(Exception):
     """A command that cannot be carried out; the text says why."""
 
 
-class Control:
+class BenchControl:
     """A `Dialect` that understands the commands of `HELP` and carries them out on a bench."""
 
     model = "control"

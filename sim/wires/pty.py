@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from sim.wires.session import Instrument
+    from sim.wires.session import ServedInstrument
 
 TERMINALS: Final = hasattr(os, "openpty")
 """Whether this system has pseudo-terminals."""
@@ -91,7 +91,7 @@ class TerminalServer:
     that is dropped loses what was on the wire; while it is refused, the wire is dead.
     """
 
-    def __init__(self, instrument: Instrument) -> None:
+    def __init__(self, instrument: ServedInstrument) -> None:
         self.instrument = instrument
         self.path = ""
         self._master = self._slave = -1

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from sim.wires.session import FaultHook, Instrument
+    from sim.wires.session import FaultHook, ServedInstrument
 
 _CHUNK: Final = 65536
 _BACKLOG: Final = 16
@@ -74,7 +74,7 @@ class TcpServer:
     `port` 0 takes a free one. Loopback is the default, as whoever reaches the port commands the instrument.
     """
 
-    def __init__(self, instrument: Instrument, *, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, instrument: ServedInstrument, *, host: str = "127.0.0.1", port: int = 0) -> None:
         self.instrument = instrument
         self.host = host
         self.port = port

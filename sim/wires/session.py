@@ -1,7 +1,7 @@
 """How bytes become messages to an instrument and replies become bytes, whatever carries them.
 
 Three layers apart: a `Transport` moves bytes, a `Framer` cuts messages out of them, a `Dialect` understands
-them. An `Instrument` is a dialect as all its wires share it, a `Session` one client at it.
+them. An `ServedInstrument` is a dialect as all its wires share it, a `Session` one client at it.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Framer:
         return bytes(line.removesuffix(b"\r"))
 
 
-class Instrument:
+class ServedInstrument:
     """A dialect as all its wires share it: one message at a time is carried out, whoever sent it.
 
     `fault` may be set and taken away at any time; `traffic` is shared by the instruments of a bench on a
@@ -218,7 +218,7 @@ class Session:
     def __init__(
         self,
         transport: Transport,
-        instrument: Instrument,
+        instrument: ServedInstrument,
         on_refuse: Callable[[float], None],
         clock: Clock | None = None,
     ) -> None:

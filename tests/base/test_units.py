@@ -16,13 +16,13 @@ from bench.base.units import (
     SCALE_FACTOR,
     TEMPERATURE,
     VOLTAGE,
-    Kind,
+    QuantityKind,
     parse_quantity,
 )
 from bench.model.gravity import normal_gravity_m_s2
 
-CURVATURE = Kind("a value of K2", "30 ug/g^2", "ug/g^2")
-SLOPE = Kind("a slope", "60 ug/K", "ug/K")
+CURVATURE = QuantityKind("a value of K2", "30 ug/g^2", "ug/g^2")
+SLOPE = QuantityKind("a slope", "60 ug/K", "ug/K")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from drivers.motion import Travel
 from drivers.wire.visa import MessageSession
 from drivers.zaber.driver import READ_TERMINATION, SERIAL, WRITE_TERMINATION, ZaberHead, checksum
 from sim.wires.pty import TERMINALS, TerminalServer
-from sim.wires.session import DROP, SILENCE, Instrument, WireFault
+from sim.wires.session import DROP, SILENCE, ServedInstrument, WireFault
 from sim.world.turning import HeadFault
 from sim.world.world import World
 from sim.zaber import ZaberStage
@@ -420,7 +420,9 @@ def test_over_a_serial_port_and_after_a_lost_reply() -> None:
     def silent(message: bytes, reply: bytes | None) -> WireFault | None:
         return SILENCE if b"get pos" in message and next(lost, False) else None
 
-    with TerminalServer(Instrument(ZaberStage(world, steps_per_degree=STEPS), fault=silent)) as terminal:
+    with TerminalServer(
+        ServedInstrument(ZaberStage(world, steps_per_degree=STEPS), fault=silent)
+    ) as terminal:
         session = MessageSession(
             "head",
             terminal.resource,

@@ -10,7 +10,7 @@ import pytest
 from bench.analysis.diagnosis.linear import make_linear
 from bench.analysis.diagnosis.planned import planned_readings
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.separation import Design, Part
+from bench.analysis.diagnosis.separation import EffectPart, ReadingDesign
 from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
@@ -66,14 +66,14 @@ def test_short_and_reference_of_both_signs_stand_before_each_pass_and_at_the_end
 
 
 SEPARATED_BY_ORDER = [
-    (Part("backlash", "play", (), (), None), Part("zero_offset", "angle", (), (), None), 0.5),
+    (EffectPart("backlash", "play", (), (), None), EffectPart("zero_offset", "angle", (), (), None), 0.5),
     (
-        Part("mounting_error", "angle", (), ("1",), None),
-        Part("mounting_offset", "angle", (), ("2",), None),
+        EffectPart("mounting_error", "angle", (), ("1",), None),
+        EffectPart("mounting_offset", "angle", (), ("2",), None),
         0.1,
     ),
-    (Part("voltmeter_drift", "rate", (), (), None), None, 0.5),
-    (Part("voltmeter_nonlinearity", "q2", (), (), None), None, 0.7),
+    (EffectPart("voltmeter_drift", "rate", (), (), None), None, 0.5),
+    (EffectPart("voltmeter_nonlinearity", "q2", (), (), None), None, 0.7),
 ]
 RIVALS = {
     "voltmeter_drift": ("bias_drift", "rate"),
@@ -85,12 +85,14 @@ RIVALS = {
 def test_it_breaks_ties_of_the_papers_order(one, other, at_most):
     stand_u = {name: d.u for name, d in BENCH.stand_distributions().items() if name != "voltmeter_error"}
     family, parameter = RIVALS.get(one.family, ("", ""))
-    rival = (other,) if other else tuple(Part(family, parameter, (), (), c) for c in range(3))
+    rival = (other,) if other else tuple(EffectPart(family, parameter, (), (), c) for c in range(3))
     cosine = {}
     for name in ("paper", "discerning"):
         planned = planned_readings(plan_of(name), MODEL, BENCH.simulated_block())
         linear = make_linear(planned.select(planned.installation != "V"), MODEL, stand_u)
-        cosine[name] = Design(linear, NoiseSize(15e-6, stand_u["setting_error"], 42)).cosine((one,), rival)
+        cosine[name] = ReadingDesign(linear, NoiseSize(15e-6, stand_u["setting_error"], 42)).cosine(
+            (one,), rival
+        )
     assert cosine["paper"] > 0.999
     assert cosine["discerning"] < at_most
 

@@ -8,7 +8,7 @@ import pytest
 from bench.analysis.calibration import calibrate
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.readings.joined import Part, together
+from bench.readings.joined import JoinedPart, together
 from tests.support.paper_bench import STAND_U, simulate
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
@@ -22,7 +22,7 @@ def table(seed, source, times=True):
 def test_no_mounting_of_one_table_is_one_of_another():
     second = table(2, "b")
     second = replace(second, series=np.where(second.installation == "2", 2, 1))
-    both = together([Part(table(1, "a")), Part(second), Part(table(3, "c"))])
+    both = together([JoinedPart(table(1, "a")), JoinedPart(second), JoinedPart(table(3, "c"))])
     mounts = [str(mount) for mount in both.conditions().mounts]
     assert mounts == ["1", "2", "1/2", "2/3", "1/4", "2/4"]
     assert len(both) == 162
@@ -31,7 +31,7 @@ def test_no_mounting_of_one_table_is_one_of_another():
 
 
 def test_real_beginnings_order_the_tables_and_set_them_apart():
-    early, late = Part(table(1, "early"), 1000.0), Part(table(2, "late"), 1000.0 + 86400.0)
+    early, late = JoinedPart(table(1, "early"), 1000.0), JoinedPart(table(2, "late"), 1000.0 + 86400.0)
     both = together([late, early])
     assert both.source == "early + late"
     assert both.time_s[0] == 0.0
@@ -41,13 +41,13 @@ def test_real_beginnings_order_the_tables_and_set_them_apart():
 
 @pytest.mark.parametrize("began", [(None, None), (0.0, None), (0.0, 60.0)])
 def test_without_beginnings_or_with_impossible_ones_an_hour_lies_between(began):
-    both = together([Part(table(1, "a"), began[0]), Part(table(2, "b"), began[1])])
+    both = together([JoinedPart(table(1, "a"), began[0]), JoinedPart(table(2, "b"), began[1])])
     assert both.time_s[54] - both.time_s[53] == 3600.0
     assert "set, not measured" in both.notes[1]
 
 
 def test_a_table_without_times_gets_those_of_the_usual_pace():
-    both = together([Part(table(1, "a", times=False)), Part(table(2, "b"))])
+    both = together([JoinedPart(table(1, "a", times=False)), JoinedPart(table(2, "b"))])
     assert np.all(np.isfinite(both.time_s))
     # the pace of a run without times: 120 s a setting, 1200 s more for the remount
     assert both.time_s[53] == 53 * 120.0 + 1200.0
@@ -55,7 +55,7 @@ def test_a_table_without_times_gets_those_of_the_usual_pace():
 
 def test_columns_of_one_table_alone_are_empty_in_the_other():
     first = replace(table(1, "a"), extra={"range_v": np.full(54, "10")}, verification_missing=1)
-    both = together([Part(first), Part(replace(table(2, "b"), notes=("a comment",)))])
+    both = together([JoinedPart(first), JoinedPart(replace(table(2, "b"), notes=("a comment",)))])
     assert set(both.extra["range_v"][:54]) == {"10"}
     assert set(both.extra["range_v"][54:]) == {""}
     assert both.verification_missing == 1
@@ -64,7 +64,7 @@ def test_columns_of_one_table_alone_are_empty_in_the_other():
 
 def test_units_must_agree():
     with pytest.raises(ValueError, match="a in V, b in counts"):
-        together([Part(table(1, "a")), Part(replace(table(2, "b"), unit="counts"))])
+        together([JoinedPart(table(1, "a")), JoinedPart(replace(table(2, "b"), unit="counts"))])
 
 
 def test_two_runs_of_one_block_halve_the_variance_of_what_noise_alone_makes_uncertain():
@@ -74,6 +74,6 @@ def test_two_runs_of_one_block_halve_the_variance_of_what_noise_alone_makes_unce
         for s in (1, 2)
     ]
     u_one = calibrate(tables[0], MODEL, {}, 9.81).u
-    u_both = calibrate(together([Part(t) for t in tables]), MODEL, {}, 9.81).u
+    u_both = calibrate(together([JoinedPart(t) for t in tables]), MODEL, {}, 9.81).u
     # the noise is estimated from 96 and 192 signals: sd of the ratio about 9 %
     assert np.allclose(u_one / u_both, np.sqrt(2), rtol=0.3)

@@ -8,10 +8,10 @@ import pytest
 from bench.assembly.served import dry_bench
 from bench.model import ForwardModel
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
-from bench.run.control import Control
+from bench.run.control import RunControl
 from bench.run.record import Record, read_history
 from bench.run.runner import RunAborted, Runner
-from bench.run.states import State, Wish
+from bench.run.states import RunState, Wish
 from drivers.interfaces import BenchError
 from tests.support.composed_bench import edited
 
@@ -36,7 +36,7 @@ class Trouble:
         self.times += 1
         if self.times != 4 or self.what is None:
             return None
-        if isinstance(self.what, Control):
+        if isinstance(self.what, RunControl):
             return self.what
         raise self.what
 
@@ -44,10 +44,10 @@ class Trouble:
 @pytest.mark.parametrize(
     ("trouble", "state"),
     [
-        (None, State.FINISHED),
-        (KeyboardInterrupt(), State.INTERRUPTED),
-        (BenchError("voltmeter.x", "it smokes", "pull the plug"), State.FAILED),
-        (Control(Wish.ABORT, "wrong block"), State.ABORTED),
+        (None, RunState.FINISHED),
+        (KeyboardInterrupt(), RunState.INTERRUPTED),
+        (BenchError("voltmeter.x", "it smokes", "pull the plug"), RunState.FAILED),
+        (RunControl(Wish.ABORT, "wrong block"), RunState.ABORTED),
     ],
     ids=lambda value: getattr(value, "name", None),
 )

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from bench.run.control import Control, ControlFile, OperatorWish, leave_wish
+from bench.run.control import ControlFile, OperatorWish, RunControl, leave_wish
 from bench.run.prompts import ask, confirm
 from bench.run.states import Wish
 from bench.run.terminal import TerminalPerson
@@ -75,20 +75,20 @@ def test_a_wish_typed_at_a_prompt_is_heard_and_a_misspelt_one_explained():
     person = TerminalPerson(io.StringIO(":rdo\n:skip\n:skip the cable came loose\n"), Console(file=shown))
     with pytest.raises(OperatorWish) as heard:
         person.ask(Prompt("1#1", PromptKind.ANGLE, "Turn"))
-    assert heard.value.control == Control(Wish.SKIP, "the cable came loose", by_person=True)
+    assert heard.value.control == RunControl(Wish.SKIP, "the cable came loose", by_person=True)
     assert ":rdo is no wish; there are :pause, :continue, :redo" in shown.getvalue()
     assert "say why" in shown.getvalue()
 
 
 def test_wishes_left_in_the_folder_are_heard_once_and_in_order(tmp_path):
-    leave_wish(tmp_path, Control(Wish.ABORT))
+    leave_wish(tmp_path, RunControl(Wish.ABORT))
     controls = ControlFile(tmp_path)
     assert controls.poll() is None  # what was there before was for another program
-    leave_wish(tmp_path, Control(Wish.PAUSE))
+    leave_wish(tmp_path, RunControl(Wish.PAUSE))
     with (tmp_path / "control.jsonl").open("a") as file:
         file.write("nonsense\n")
-    leave_wish(tmp_path, Control(Wish.SKIP, "wrong angle"))
+    leave_wish(tmp_path, RunControl(Wish.SKIP, "wrong angle"))
     with (tmp_path / "control.jsonl").open("a") as file:
         file.write('{"wish": "redo"')
     heard = [controls.poll() for _ in range(5)]
-    assert heard == [Control(Wish.PAUSE), None, Control(Wish.SKIP, "wrong angle"), None, None]
+    assert heard == [RunControl(Wish.PAUSE), None, RunControl(Wish.SKIP, "wrong angle"), None, None]

@@ -7,12 +7,12 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.procedure.plan import Ask, Mount, OnFailure, Plan, Read, SetTemperature, Turn, Wait
-from bench.run.control import Control, OperatorWish
+from bench.run.control import OperatorWish, RunControl
 from bench.run.folder import readings_of
 from bench.run.record import Event, Record, RecordError, read_history
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
-from bench.run.states import HEARD, TRANSITIONS, State, Wish, state_after
+from bench.run.states import HEARD, TRANSITIONS, RunState, Wish, state_after
 from bench.run.workbench import Instruments
 from drivers.interfaces import (
     Answer,
@@ -294,7 +294,7 @@ class FakeRecord:
 
 
 def test_redo_takes_the_last_point_again_and_its_last_reading_counts(tmp_path):
-    history, keys, bench = listening(tmp_path, {poll_at("r12"): Control(Wish.REPEAT_POINT)})
+    history, keys, bench = listening(tmp_path, {poll_at("r12"): RunControl(Wish.REPEAT_POINT)})
     assert keys == ["r11", "r12", "r12", "r13", "r21", "r22", "r23"]
     attempts = [e.data["attempt"] for e in history.events if e.type == "step_done" and "reading" in e.data]
     assert attempts == [1, 1, 2, 1, 1, 1, 1]
@@ -302,19 +302,19 @@ def test_redo_takes_the_last_point_again_and_its_last_reading_counts(tmp_path):
 
 
 def test_redo_pass_goes_back_to_its_first_turn(tmp_path):
-    _, keys, _ = listening(tmp_path, {poll_at("r22"): Control(Wish.REPEAT_PASS)})
+    _, keys, _ = listening(tmp_path, {poll_at("r22"): RunControl(Wish.REPEAT_PASS)})
     assert keys == ["r11", "r12", "r13", "r21", "r22", "r21", "r22", "r23"]
 
 
 def test_redo_with_nothing_measured_since_the_mounting_is_refused(tmp_path):
-    history, keys, _ = listening(tmp_path, {poll_at("m2"): Control(Wish.REPEAT_POINT)})
+    history, keys, _ = listening(tmp_path, {poll_at("m2"): RunControl(Wish.REPEAT_POINT)})
     assert keys == READS
     refused = [e for e in history.events if e.type == "wish_refused"]
     assert refused[0].data["why"] == "no point was measured since the block was mounted"
 
 
 def test_skip_leaves_the_point_out_with_its_reason(tmp_path):
-    history, keys, bench = listening(tmp_path, {poll_at("r11"): Control(Wish.SKIP, "cable loose")})
+    history, keys, bench = listening(tmp_path, {poll_at("r11"): RunControl(Wish.SKIP, "cable loose")})
     assert keys == ["r11", "r13", "r21", "r22", "r23"]
     assert ("move", "t12") not in bench.done
     skipped = [e.data for e in history.events if e.type == "skipped"]
@@ -324,16 +324,16 @@ def test_skip_leaves_the_point_out_with_its_reason(tmp_path):
 
 def test_abort_ends_the_run_for_good_with_the_bench_closed(tmp_path):
     with pytest.raises(RunAborted):
-        listening(tmp_path, {poll_at("r11"): Control(Wish.ABORT, "wrong block")})
+        listening(tmp_path, {poll_at("r11"): RunControl(Wish.ABORT, "wrong block")})
     history, keys, _ = recorded(tmp_path / "run")
     assert keys == ["r11"]
-    assert history.state is State.ABORTED
+    assert history.state is RunState.ABORTED
     assert resume_point(PLAN, history).step > 0
 
 
 def test_a_pause_lasts_until_somebody_wishes_something_else(tmp_path):
     at = poll_at("r11")
-    history, keys, _ = listening(tmp_path, {at: Control(Wish.PAUSE), at + 5: Control(Wish.CONTINUE)})
+    history, keys, _ = listening(tmp_path, {at: RunControl(Wish.PAUSE), at + 5: RunControl(Wish.CONTINUE)})
     assert keys == READS
     changes = [e.type for e in history.events if e.type.startswith("run_")]
     assert changes == ["run_started", "run_paused", "run_continued", "run_finished"]
@@ -341,7 +341,7 @@ def test_a_pause_lasts_until_somebody_wishes_something_else(tmp_path):
 
 def test_redo_out_of_a_pause(tmp_path):
     at = poll_at("r12")
-    wishes = {at: Control(Wish.PAUSE), at + 3: Control(Wish.REPEAT_POINT)}
+    wishes = {at: RunControl(Wish.PAUSE), at + 3: RunControl(Wish.REPEAT_POINT)}
     history, keys, _ = listening(tmp_path, wishes)
     assert keys == ["r11", "r12", "r12", "r13", "r21", "r22", "r23"]
     assert history.state == "finished"
@@ -352,7 +352,7 @@ def test_a_pause_typed_at_the_head_is_asked_how_to_go_on(tmp_path):
         def ask(self, prompt):
             if prompt.id.startswith("m2") and "typed" not in self.__dict__:
                 self.typed = True
-                raise OperatorWish(Control(Wish.PAUSE, by_person=True))
+                raise OperatorWish(RunControl(Wish.PAUSE, by_person=True))
             return super().ask(prompt)
 
     bench = Bench()
@@ -466,24 +466,24 @@ def test_a_block_that_is_too_hot_stops_the_run(tmp_path):
 
 
 def test_the_table_of_transitions_has_no_dead_end_but_the_two_ends():
-    reachable = {State.READY}
-    for _ in State:
+    reachable = {RunState.READY}
+    for _ in RunState:
         reachable |= {after for state in reachable for after in TRANSITIONS[state].values()}
-    assert reachable == set(State)
-    assert {state for state in State if not TRANSITIONS[state]} == {State.FINISHED, State.ABORTED}
-    assert set(HEARD) == {State.RUNNING, State.PAUSED}
+    assert reachable == set(RunState)
+    assert {state for state in RunState if not TRANSITIONS[state]} == {RunState.FINISHED, RunState.ABORTED}
+    assert set(HEARD) == {RunState.RUNNING, RunState.PAUSED}
 
 
-@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("state", list(RunState))
 def test_every_transition_leads_where_the_table_says_and_no_other_is_allowed(state):
     ways = {
-        State.READY: [],
-        State.RUNNING: ["run_started"],
-        State.PAUSED: ["run_started", "run_paused"],
-        State.FINISHED: ["run_started", "run_finished"],
-        State.FAILED: ["run_started", "run_failed"],
-        State.INTERRUPTED: ["run_started", "run_interrupted"],
-        State.ABORTED: ["run_started", "run_aborted"],
+        RunState.READY: [],
+        RunState.RUNNING: ["run_started"],
+        RunState.PAUSED: ["run_started", "run_paused"],
+        RunState.FINISHED: ["run_started", "run_finished"],
+        RunState.FAILED: ["run_started", "run_failed"],
+        RunState.INTERRUPTED: ["run_started", "run_interrupted"],
+        RunState.ABORTED: ["run_started", "run_aborted"],
     }
     way = ways[state]
     assert state_after(way) is state
@@ -491,7 +491,7 @@ def test_every_transition_leads_where_the_table_says_and_no_other_is_allowed(sta
     for event in events:
         if event in TRANSITIONS[state]:
             assert state_after([*way, event]) is TRANSITIONS[state][event]
-        elif event == "run_resumed" and state in {State.RUNNING, State.PAUSED}:
+        elif event == "run_resumed" and state in {RunState.RUNNING, RunState.PAUSED}:
             assert state_after([*way, event]) is state  # its program had died
         else:
             with pytest.raises(ValueError, match="cannot follow"):

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates, make_candidates
 from bench.analysis.diagnosis.evidence import Whitened
-from bench.analysis.diagnosis.linear import Linear, make_linear
+from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.model import ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
@@ -81,7 +81,7 @@ def paper_run(
 class Set:
     """Readings made ready for the search."""
 
-    linear: Linear
+    linear: LinearSystem
     candidates: Candidates
     whitened: Whitened
 

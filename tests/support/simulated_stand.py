@@ -11,7 +11,7 @@ from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from drivers.wire.visa import MessageSession
 from sim.wires.server import TcpServer
-from sim.wires.session import Dialect, FaultHook, Instrument
+from sim.wires.session import Dialect, FaultHook, ServedInstrument
 from sim.wires.traffic import Traffic
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
@@ -45,7 +45,7 @@ def served(
     traffic = Traffic()
     clock.before_advance = traffic.settle
     wire = None if log is None else lambda _, way, text: log.append((way, text))
-    with TcpServer(Instrument(dialect, traffic, fault)) as server:
+    with TcpServer(ServedInstrument(dialect, traffic, fault)) as server:
         session = MessageSession(
             name,
             server.resource,

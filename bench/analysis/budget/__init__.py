@@ -4,17 +4,17 @@ from bench.analysis.budget.coefficients import Budget, Contribution, make_budget
 from bench.analysis.budget.estimators import ESTIMATORS, gain
 from bench.analysis.budget.propagation import COVERAGE, Inputs, Propagated, propagate
 from bench.analysis.budget.setup import Setup, make_setup, planned_conditions, rows_of
-from bench.analysis.budget.sources import Source, bench_sources, influences, stand_source, stand_sources
+from bench.analysis.budget.sources import ErrorSource, bench_sources, influences, stand_source, stand_sources
 
 __all__ = [
     "COVERAGE",
     "ESTIMATORS",
     "Budget",
     "Contribution",
+    "ErrorSource",
     "Inputs",
     "Propagated",
     "Setup",
-    "Source",
     "bench_sources",
     "gain",
     "influences",

@@ -15,7 +15,7 @@ from scipy import special
 
 from bench.analysis.budget.coefficients import Budget, Contribution, number, parts_of
 from bench.analysis.budget.propagation import coverage_factor, effective_dof
-from bench.analysis.budget.sources import Source
+from bench.analysis.budget.sources import ErrorSource
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import acceptance_limit, modulus_slopes
@@ -116,7 +116,7 @@ def _of_reading(
     return none, alone
 
 
-def _of_effect(source: Source, budget: Budget, force: Floats) -> Floats:
+def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
     """An effect of the block acts alike in use; what depends on time or temperature is at its reference."""
     unknown, setup = source.effect, budget.setup
     none = np.zeros((1, 3, 1))

@@ -12,7 +12,7 @@ from bench.analysis.budget.acceleration import AtMagnitude, DeltaG, delta_g, mag
 from bench.analysis.budget.coefficients import Budget, make_budget
 from bench.analysis.budget.exact import ExactResult, exact_monte_carlo
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import Source
+from bench.analysis.budget.sources import ErrorSource
 
 DOMINATES: Final = 0.5
 """A source (or all of what the block has beside K and U0) dominates with more than this part of the variance."""
@@ -108,7 +108,7 @@ class Assessment:
         }
 
 
-def assess(setup: Setup, sources: Sequence[Source], estimator: str, question: Question) -> Assessment:
+def assess(setup: Setup, sources: Sequence[ErrorSource], estimator: str, question: Question) -> Assessment:
     """Return the budget of an estimator with what follows from it. Raises `CalibrationError` as its parts do."""
     budget = make_budget(setup, sources, estimator)
     accelerations = tuple(

@@ -19,7 +19,7 @@ from bench.analysis.budget.propagation import (
     effective_dof,
 )
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import Source, influences, sizes_by_name
+from bench.analysis.budget.sources import ErrorSource, influences, sizes_by_name
 from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
 
@@ -31,7 +31,7 @@ class Contribution:
     `parts` (12, q) is what each independent draw of it, one u large, adds to the coefficients.
     """
 
-    source: Source
+    source: ErrorSource
     parts: Floats
 
     @property
@@ -120,7 +120,7 @@ class Budget:
 
 def make_budget(
     setup: Setup,
-    sources: Sequence[Source],
+    sources: Sequence[ErrorSource],
     estimator: str = "gls",
     stated: Mapping[str, float] | None = None,
     probability: float = COVERAGE,
@@ -135,7 +135,7 @@ def make_budget(
     return Budget(estimator, setup, gain, contributions, probability)
 
 
-def parts_of(source: Source, setup: Setup, functionals: Floats) -> Floats:
+def parts_of(source: ErrorSource, setup: Setup, functionals: Floats) -> Floats:
     """Return what each draw of a source, one u large, adds to linear functionals (m, n, 3), shape (m, q)."""
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.u * np.concatenate(parts, axis=1)

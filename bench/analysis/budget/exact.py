@@ -25,7 +25,7 @@ from bench.analysis.budget.monte_carlo import (
 )
 from bench.analysis.budget.propagation import Propagated
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import Source, influences
+from bench.analysis.budget.sources import ErrorSource, influences
 from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES, Conditions
 from bench.model.block import COEFFICIENTS
@@ -164,7 +164,7 @@ class _Simulation:
         return signal
 
 
-def _draw(source: Source, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
+def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     return drawn(source.distribution, shape, rng, source.dof)
 
 

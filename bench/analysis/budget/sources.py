@@ -50,7 +50,7 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 
 @dataclass(frozen=True)
-class Source:
+class ErrorSource:
     """An error with its distribution in `unit` (SI), what it is common to and its degrees of freedom.
 
     `origin` says where the size comes from; `prior` that it is a plausible size and not a stated one.
@@ -89,7 +89,7 @@ class Source:
         """1 for a channel that it is of, 0 for another, shape (3,)."""
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
-    def sized(self, u: float) -> Source:
+    def sized(self, u: float) -> ErrorSource:
         """Return the source with another standard uncertainty, normally distributed."""
         return replace(self, distribution=Distribution(u), origin="as asked")
 
@@ -97,7 +97,7 @@ class Source:
 # --- from a bench file ------------------------------------------------------------------------------
 
 
-def bench_sources(bench: BenchFile, setup: Setup) -> tuple[Source, ...]:
+def bench_sources(bench: BenchFile, setup: Setup) -> tuple[ErrorSource, ...]:
     """Return the sources of a bench: the stand's errors, the voltmeters', gravity, temperature, the block.
 
     Parameters of effects in the model of `setup` are sources, too; the priors of K2 and K3 stand only where the
@@ -113,7 +113,7 @@ def bench_sources(bench: BenchFile, setup: Setup) -> tuple[Source, ...]:
     )
 
 
-def stand_sources(bench: BenchFile) -> tuple[Source, ...]:
+def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
     """Return the stand errors of a bench file. The third mounting angle is zero unless it is stated."""
     sizes = bench.stand_distributions()
     dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
@@ -131,13 +131,13 @@ def stand_sources(bench: BenchFile) -> tuple[Source, ...]:
 
 def stand_source(
     name: str, distribution: Distribution, dof: float = math.inf, origin: str = "as asked"
-) -> Source:
+) -> ErrorSource:
     """Return one of the stand errors by its name in a bench file, rad or V. Raises `KeyError` for others."""
     if name in STAND_ANGLES:
         symbol = {"mounting_offset": "mounting offset"}.get(name, SYMBOLS[name].replace("alpha", "α"))
-        return Source(name, symbol, "rad", distribution, "mounting", "stand", origin, dof)
+        return ErrorSource(name, symbol, "rad", distribution, "mounting", "stand", origin, dof)
     symbol, unit, common = _FRESH[name]
-    return Source(name, symbol, unit, distribution, common, "stand", origin, dof)
+    return ErrorSource(name, symbol, unit, distribution, common, "stand", origin, dof)
 
 
 _FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
@@ -146,7 +146,7 @@ _FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
 }
 
 
-def _voltmeter_sources(bench: BenchFile) -> Iterator[Source]:
+def _voltmeter_sources(bench: BenchFile) -> Iterator[ErrorSource]:
     meter = bench.instruments.voltmeters[0]
     kind, range_v = VOLTMETERS[meter.driver], meter.range
     of_reading, of_range = kind.accuracy[range_v]
@@ -163,7 +163,7 @@ def _voltmeter_sources(bench: BenchFile) -> Iterator[Source]:
         yield _stated(name, symbol, unit, common, stated, usual, whose)  # type: ignore[arg-type]
 
 
-def _gravity_source(bench: BenchFile) -> Iterator[Source]:
+def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Relative to local gravity. A number has the uncertainty of its last digit, at least that of a survey."""
     g = bench.gravity_m_s2
     told = bench.uncertainty.gravity
@@ -171,20 +171,22 @@ def _gravity_source(bench: BenchFile) -> Iterator[Source]:
         return
     if told is not None:
         relative = replace(told.to_distribution(), limit=told.limit / g)
-        yield Source("gravity", "g", "1", relative, "run", "scale", "bench file", told.dof)
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", told.dof)
     elif isinstance(bench.gravity, Location):
         origin = "WGS 84 formula: anomalies of 50 mGal"
-        yield Source("gravity", "g", "1", Distribution(ANOMALY_M_S2 / g), "run", "scale", origin, prior=True)
+        yield ErrorSource(
+            "gravity", "g", "1", Distribution(ANOMALY_M_S2 / g), "run", "scale", origin, prior=True
+        )
     else:
         decimals = len(repr(g).partition(".")[2])
         rounding = Distribution(0.5 * 10.0**-decimals, "rectangular")
         size = rounding if rounding.u > MEASURED_M_S2 else Distribution(MEASURED_M_S2)
         origin = f"{g!r} m/s² as stated: its last digit, 1 mGal at least"
         relative = replace(size, limit=size.limit / g)
-        yield Source("gravity", "g", "1", relative, "run", "scale", origin, prior=True)
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", origin, prior=True)
 
 
-def _temperature_source(bench: BenchFile) -> Source:
+def _temperature_source(bench: BenchFile) -> ErrorSource:
     told, chamber = bench.uncertainty, bench.instruments.chamber
     band = getattr(chamber, "band", None)
     usual, origin = (CHAMBER, "no band stated: ±0.5 K") if band is None else (
@@ -204,7 +206,7 @@ def _temperature_source(bench: BenchFile) -> Source:
     )
 
 
-def _nonlinearity_sources(bench: BenchFile, setup: Setup) -> Iterator[Source]:
+def _nonlinearity_sources(bench: BenchFile, setup: Setup) -> Iterator[ErrorSource]:
     for name, effect, unit, prior in (
         ("K2", "quadratic_nonlinearity", "1/g", K2_PRIOR),
         ("K3", "cubic_nonlinearity", "1/g^2", K3_PRIOR),
@@ -225,13 +227,15 @@ def _stated(
     stated: ErrorSize | None,
     usual: Distribution,
     origin: str,
-) -> Source:
+) -> ErrorSource:
     if stated is None:
-        return Source(name, symbol, unit, usual, common, "scale", origin, prior=True)
-    return Source(name, symbol, unit, stated.to_distribution(), common, "scale", "bench file", stated.dof)
+        return ErrorSource(name, symbol, unit, usual, common, "scale", origin, prior=True)
+    return ErrorSource(
+        name, symbol, unit, stated.to_distribution(), common, "scale", "bench file", stated.dof
+    )
 
 
-def effect_sources(setup: Setup) -> Iterator[Source]:
+def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """Yield a source for each parameter of the effects in the model, with the u that the model file states.
 
     Where it states none the size is the catalogue's plausible one. The prior that a fit then takes is wider, so
@@ -241,7 +245,7 @@ def effect_sources(setup: Setup) -> Iterator[Source]:
     for name, unknown in zip(problem.names(), problem.effects, strict=True):
         applied = setup.model.effects[unknown.effect]
         parameter = next(p for p in applied.effect.parameters if p.name == unknown.parameter)
-        yield Source(
+        yield ErrorSource(
             name=name,
             symbol=parameter.name,
             unit="SI",
@@ -258,7 +262,7 @@ def effect_sources(setup: Setup) -> Iterator[Source]:
 # --- what they do to the readings -------------------------------------------------------------------
 
 
-def influences(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def influences(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     """Return how a unit of the source acts on the readings of a setup; parts of it are independent."""
     if source.effect is not None:
         return (_effect(source, setup),)
@@ -267,34 +271,34 @@ def influences(source: Source, setup: Setup) -> tuple[Influence, ...]:
     return _INFLUENCES[source.name](source, setup)
 
 
-def _fresh(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _fresh(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     n = len(setup.conditions)
     return (Influence(np.ones((n, 3)), np.arange(3 * n).reshape(n, 3), 3 * n),)
 
 
-def _setting(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _setting(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     return (Influence.of(setup.setting_slope, np.arange(len(setup.conditions))[:, None]),)
 
 
-def _gain(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _gain(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     return (Influence.of(setup.signal, np.array(setup.meters)[None, :]),)
 
 
-def _offset(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _offset(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     return (Influence.of(np.ones_like(setup.signal), np.array(setup.meters)[None, :]),)
 
 
-def _linearity(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _linearity(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     # the same voltage gives the same error: repeats do not average it; channels have voltages of their own
     group = 3 * setup.orientation[:, None] + np.arange(3)
     return (Influence.of(np.ones_like(setup.signal), group),)
 
 
-def _gravity(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _gravity(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     return (Influence.of(setup.force @ setup.block.K.T, np.zeros((1, 1), dtype=np.int64)),)
 
 
-def _temperature(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _temperature(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     # the coefficients' signs are not known, so that bias and scale of each channel move on their own
     factors = source.factors or {}
     group = 3 * setup.conditions.mount[:, None] + np.arange(3)
@@ -306,20 +310,20 @@ def _temperature(source: Source, setup: Setup) -> tuple[Influence, ...]:
     )
 
 
-def _power(exponent: int) -> Callable[[Source, Setup], tuple[Influence, ...]]:
-    def act(source: Source, setup: Setup) -> tuple[Influence, ...]:
+def _power(exponent: int) -> Callable[[ErrorSource, Setup], tuple[Influence, ...]]:
+    def act(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
         factor = np.diag(setup.block.K) * source.on_channels
         return (Influence.of(factor * setup.force**exponent, np.arange(3)[None, :]),)
 
     return act
 
 
-def _effect(source: Source, setup: Setup) -> Influence:
+def _effect(source: ErrorSource, setup: Setup) -> Influence:
     column = setup.effect_problem.effects.index(source.effect)
     return Influence.of(setup.effect_columns[:, :, column], np.zeros((1, 1), dtype=np.int64))
 
 
-_INFLUENCES: Final[Mapping[str, Callable[[Source, Setup], tuple[Influence, ...]]]] = {
+_INFLUENCES: Final[Mapping[str, Callable[[ErrorSource, Setup], tuple[Influence, ...]]]] = {
     "voltmeter_error": _fresh,
     "setting_error": _setting,
     "voltmeter_gain": _gain,
@@ -332,6 +336,6 @@ _INFLUENCES: Final[Mapping[str, Callable[[Source, Setup], tuple[Influence, ...]]
 }
 
 
-def sizes_by_name(sources: Iterable[Source]) -> dict[str, float]:
+def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
     """Return the standard uncertainties of the stand's sources by name, as an estimator is told them."""
     return {source.name: source.u for source in sources if source.name in STAND_ERRORS}

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.calibration.design import FIXED, SYMBOLS, Problem
-from bench.analysis.calibration.null_space import Kind, told_axis
+from bench.analysis.calibration.null_space import DirectionKind, told_axis
 from bench.analysis.calibration.observability import Columns, Observability, columns_of, with_angles
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import ARCSEC, Floats
@@ -103,7 +103,7 @@ def _shown(columns: Columns, oriented: int, block: Block, name: str) -> str:
     pairs = [
         f"the {d.only} of {' and '.join(sorted(d.others))}"
         for d in columns.observability(block).directions
-        if d.kind is Kind.TURN and d.only and d.others[0].startswith(f"{SYMBOLS[name]}[")
+        if d.kind is DirectionKind.TURN and d.only and d.others[0].startswith(f"{SYMBOLS[name]}[")
     ]
     what = " and ".join(pairs) or "what is no common turn of the block's axes"
     return (
@@ -114,7 +114,7 @@ def _shown(columns: Columns, oriented: int, block: Block, name: str) -> str:
 
 def _is_hidden(columns: Columns, block: Block, name: str) -> bool:
     found = columns.observability(block).directions
-    hidden = {member for d in found if d.kind is not Kind.TURN for member in d.members}
+    hidden = {member for d in found if d.kind is not DirectionKind.TURN for member in d.members}
     return any(member.startswith(f"{SYMBOLS[name]}[") for member in hidden)
 
 
@@ -134,7 +134,7 @@ def _together(names: list[str]) -> str:
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
     """Sentences on the unknowns that only their limits hold: turns of the axes in one, others each by itself."""
-    turns = [d for d in found.directions if d.kind is Kind.TURN]
+    turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:
         taking_part = {member for d in turns for member in d.others}
@@ -147,5 +147,5 @@ def _undetermined(found: Observability, unit: str) -> list[str]:
     return sentences + [
         f"{d.text(unit)}; only the limits of the bench file hold it"
         for d in found.directions
-        if d.kind is not Kind.TURN
+        if d.kind is not DirectionKind.TURN
     ]

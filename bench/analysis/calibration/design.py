@@ -68,7 +68,7 @@ class FreeRows:
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linearisation:
     """The model about a point: what it predicts (n, 3), its derivatives by all unknowns (n, 3, 12 + q).
 
     `slope` (n, 3) is du/dphi, how a setting error of the head shows in the signals, unit/rad.
@@ -159,7 +159,7 @@ class Problem:
         """Return the derivatives of the readings by all unknowns, shape (n, 3, 12 + q)."""
         return self.linear(block, others).jacobian
 
-    def linear(self, block: Block, others: Floats) -> Linear:
+    def linear(self, block: Block, others: Floats) -> Linearisation:
         """Return the model made linear about a point.
 
         Central differences of the forward model itself, so that there is no second formula to keep in step;
@@ -167,7 +167,7 @@ class Problem:
         """
         if not len(self.conditions):
             nothing = np.zeros((0, 3))
-            return Linear(nothing, np.zeros((0, 3, FIXED + len(others))), nothing)
+            return Linearisation(nothing, np.zeros((0, 3, FIXED + len(others))), nothing)
         if self.model.effects:
             return self._linear_with_effects(block, others)
         force, by_angle, by_stand = self.forces(block, others)
@@ -176,7 +176,7 @@ class Problem:
         for j, unknown in enumerate(self.stand):
             own = self.conditions.mount == unknown.mount
             columns[own, :, FIXED + j] = by_stand[unknown.column][own] @ block.K.T
-        return Linear(block.output(force), columns, by_angle @ block.K.T)
+        return Linearisation(block.output(force), columns, by_angle @ block.K.T)
 
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
         """Return specific forces (n, 3), their derivatives by the head's angle and by each stand angle in use.
@@ -215,7 +215,7 @@ class Problem:
         mount = (np.arange(times)[:, None] * len(c.mounts) + c.mount).ravel()
         return replace(c, mounts=c.mounts * times, mount=mount, **tiled)
 
-    def _linear_with_effects(self, block: Block, others: Floats) -> Linear:
+    def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
         columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
         shift = 1e-3 * float(np.max(np.abs(block.K)))
         for j in range(FIXED):
@@ -228,7 +228,7 @@ class Problem:
             step = self.other_step(j)
             difference = self.predict(block, others + step) - self.predict(block, others - step)
             columns[:, :, FIXED + j] = difference / (2 * step[j])
-        return Linear(self.predict(block, others), columns, self.slope(block, others))
+        return Linearisation(self.predict(block, others), columns, self.slope(block, others))
 
     def other_step(self, j: int) -> Floats:
         """Return the step (q,) of the differences by unknown `j` after the coefficients."""

@@ -20,7 +20,7 @@ _NOTHING: Final = 1e-6
 _MOST_TOLD: Final = 4
 
 
-class Kind(StrEnum):
+class DirectionKind(StrEnum):
     """What a direction that leaves no trace is."""
 
     UNSEEN = "no reading depends on it"
@@ -39,7 +39,7 @@ class Direction:
     "difference"), and is empty otherwise.
     """
 
-    kind: Kind
+    kind: DirectionKind
     members: Mapping[str, float]
     axis: tuple[float, float, float] | None = None
     only: str = ""
@@ -60,13 +60,13 @@ class Direction:
 
     def text(self, unit: str = "V") -> str:
         """Say it in words; `unit` is that of the signals."""
-        if self.kind is Kind.TURN and not self.others:
+        if self.kind is DirectionKind.TURN and not self.others:
             return f"{self.kind} about {told_axis(self.axis)}: {self._changed(unit)}"
-        if self.kind is Kind.UNSEEN or not self.others:
+        if self.kind is DirectionKind.UNSEEN or not self.others:
             return f"{', '.join(self.others or self.coefficients)}: {self.kind}"
-        if self.kind is Kind.ALIKE:
+        if self.kind is DirectionKind.ALIKE:
             return f"{self._shown()}; {self.kind}"
-        if self.kind is Kind.TURN:
+        if self.kind is DirectionKind.TURN:
             return f"{self.kind} about {told_axis(self.axis)} ({self._shown()}): {self._changed(unit)}"
         return f"{self._together()}: {self.kind}: {self._changed(unit)}"
 
@@ -88,7 +88,7 @@ class Direction:
 
     def _changed(self, unit: str) -> str:
         """The coefficients that change, for an arcsecond where an angle leads."""
-        angle = self.kind is Kind.TURN or self.others[0].startswith(("alpha", "mounting"))
+        angle = self.kind is DirectionKind.TURN or self.others[0].startswith(("alpha", "mounting"))
         size, per = (ARCSEC, "1 arcsec") if angle else (1.0, f"1 of {self.others[0]} (SI)")
         micro, told_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
         told = (
@@ -123,13 +123,13 @@ class _Directions:
         found = []
         if np.any(unseen):
             members = dict.fromkeys(np.array(self._names)[unseen].tolist(), 1.0)
-            found = [Direction(Kind.UNSEEN, {name: size}) for name, size in members.items()]
+            found = [Direction(DirectionKind.UNSEEN, {name: size}) for name, size in members.items()]
             self._take_out(np.eye(len(self._names))[:, unseen])
         alike = self._null @ _null_space(self._null[self._fixed])
-        found += [self._told(Kind.ALIKE, vector) for vector in self._sparse(alike)]
+        found += [self._told(DirectionKind.ALIKE, vector) for vector in self._sparse(alike)]
         self._take_out(alike)
         found += self._take_turns()
-        found += [self._told(Kind.MIXED, vector) for vector in self._sparse(self._null)]
+        found += [self._told(DirectionKind.MIXED, vector) for vector in self._sparse(self._null)]
         return tuple(found)
 
     def _take_turns(self) -> list[Direction]:
@@ -142,7 +142,7 @@ class _Directions:
         vectors = self._null @ np.linalg.lstsq(part, self._turns @ axes, rcond=None)[0]
         found = []
         for axis, vector in zip(axes.T, vectors.T, strict=True):
-            told = self._told(Kind.TURN, vector)
+            told = self._told(DirectionKind.TURN, vector)
             found.append(replace(told, axis=(float(axis[0]), float(axis[1]), float(axis[2]))))
         self._take_out(vectors)
         return found
@@ -168,7 +168,7 @@ class _Directions:
             free[row] = False
         return list(vectors.T)
 
-    def _told(self, kind: Kind, vector: Floats) -> Direction:
+    def _told(self, kind: DirectionKind, vector: Floats) -> Direction:
         """Name the members: stand angles first, then effects, then coefficients, each the largest first."""
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
@@ -177,7 +177,7 @@ class _Directions:
             j: (bool(self._fixed[j]), -round(float(weight[j]), 6), j) for j in range(len(weight)) if weight[j]
         }
         order = sorted(rank, key=rank.__getitem__)
-        lead = float(np.sign(change[order[0]])) if kind is Kind.TURN else change[order[0]]
+        lead = float(np.sign(change[order[0]])) if kind is DirectionKind.TURN else change[order[0]]
         members = {self._names[j]: float(change[j] / lead) for j in order}
         found = Direction(kind, members)
         return replace(found, only=self._only([self._names.index(name) for name in found.others], change))

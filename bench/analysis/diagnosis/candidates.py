@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.diagnosis.linear import MODULUS, Linear
+from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
 from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
 from bench.readings.table import VERIFICATION
@@ -96,7 +96,7 @@ class Candidates:
 
 
 class _Collector:
-    def __init__(self, linear: Linear) -> None:
+    def __init__(self, linear: LinearSystem) -> None:
         self.linear = linear
         self.columns: list[Floats] = []
         self.kinds: list[Column] = []
@@ -110,7 +110,7 @@ class _Collector:
         return len(self.columns) - 1
 
 
-def make_candidates(linear: Linear, unit_noise: float) -> Candidates:
+def make_candidates(linear: LinearSystem, unit_noise: float) -> Candidates:
     """Collect all that might be missing in these readings.
 
     `unit_noise` is the size of the noise of a reading, unit of the signal: what is unnamed has no other scale.
@@ -158,7 +158,7 @@ def _add_effect(collector: _Collector, effect: Effect) -> None:
             _add_form(collector, effect, linear_ones, shape, mounts)
 
 
-def _mount_sets(linear: Linear, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
+def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     """Yield sets of groups of mountings: each group has parameters of its own; () is everywhere."""
     if not effect.per_mount:
         yield ((),)
@@ -215,7 +215,7 @@ MOST_APART: Final = 3
 
 
 def _parameter_columns(
-    linear: Linear,
+    linear: LinearSystem,
     effect: Effect,
     parameter: Parameter,
     shape: tuple[tuple[str, float], ...],
@@ -256,7 +256,7 @@ def _add_unnamed(collector: _Collector, unit: float) -> None:
         collector.variants += group
 
 
-def _mount_of(linear: Linear) -> Floats:
+def _mount_of(linear: LinearSystem) -> Floats:
     series = linear.readings.series[linear.rows.reading]
     label = linear.readings.installation[linear.rows.reading]
     _, number = np.unique([f"{s}/{i}" for s, i in zip(series, label, strict=True)], return_inverse=True)

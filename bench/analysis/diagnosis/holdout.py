@@ -11,7 +11,7 @@ from scipy import special
 
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.evidence import Search, Whitened
-from bench.analysis.diagnosis.linear import MODULUS, Linear, Rows
+from bench.analysis.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.analysis.diagnosis.naming import Naming, name
 from bench.analysis.diagnosis.noise_grid import RATIOS, NoiseGrid, make_noise_grid
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, predicted_error
@@ -104,7 +104,7 @@ class Gap:
         }
 
 
-def folds_of(linear: Linear) -> Iterator[tuple[str, Mask]]:
+def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
     """Yield what is held out in turn: each pass of the settings, and the rows of known modulus alone."""
     oriented = linear.setting >= 0
     passes = linear.readings.pass_number[linear.rows.reading]
@@ -118,7 +118,7 @@ def folds_of(linear: Linear) -> Iterator[tuple[str, Mask]]:
 
 
 def measure_gap(
-    linear: Linear,
+    linear: LinearSystem,
     candidates: Candidates,
     grid: NoiseGrid,
     naming: Naming,
@@ -151,7 +151,7 @@ def measure_gap(
 
 def _could_show(
     whitened: Whitened,
-    linear: Linear,
+    linear: LinearSystem,
     candidates: Candidates,
     naming: Naming,
     noise: NoiseSize,
@@ -177,7 +177,7 @@ def _could_show(
     return True
 
 
-def restrict(linear: Linear, rows: Mask) -> Linear:
+def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
     """Return the system with some of its rows; settings are numbered anew."""
     setting = linear.setting[rows]
     present = {number: i for i, number in enumerate(dict.fromkeys(setting[setting >= 0].tolist()))}
@@ -192,7 +192,7 @@ def restrict(linear: Linear, rows: Mask) -> Linear:
     )
 
 
-def near_ratios(linear: Linear, noise: NoiseSize) -> tuple[float, ...]:
+def near_ratios(linear: LinearSystem, noise: NoiseSize) -> tuple[float, ...]:
     """Return the ratios of the grid next to what the whole data say: for the folds, which have less of it."""
     count = int(linear.setting.max()) + 1
     ratio = noise.setting_rad / noise.reading * float(np.sqrt(np.sum(linear.slope**2) / count))

@@ -39,7 +39,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearSystem:
     """y = X c + Z b + noise about a first guess of the block.
 
     `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
@@ -113,7 +113,7 @@ class _View:
         return np.concatenate([change[self.settings].ravel(), modulus, change[self.inputs].ravel()])
 
 
-def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> Linear:
+def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
     """Make the readings' difference from the model linear in everything that is not known.
 
     Rows are taken in the order: settings in installations, moduli (verification and free positions), inputs.
@@ -154,7 +154,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
         ).astype(np.int64),
     )
     response = np.concatenate([residual.ravel(), modulus_error, input_error.ravel()])
-    return Linear(
+    return LinearSystem(
         readings, model, block, rows, response, fixed, random, slope, setting, problem.conditions, view
     )
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.analysis.diagnosis.candidates import in_volts
-from bench.analysis.diagnosis.linear import Linear, make_linear
+from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.planned import following, reads_inputs
 from bench.analysis.diagnosis.result import Diagnosis
-from bench.analysis.diagnosis.separation import Design, form_of, forms_everywhere, forms_of
+from bench.analysis.diagnosis.separation import ReadingDesign, form_of, forms_everywhere, forms_of
 from bench.files.bench.file import BenchFile
 from bench.files.shipped import PROCEDURES, shipped_folder
 from bench.model import CATALOGUE, STAND_ANGLES
@@ -167,7 +167,7 @@ class _Bill:
             else:
                 yield path, procedure.plan
 
-    def _linear(self, plan: Plan | None) -> Linear:
+    def _linear(self, plan: Plan | None) -> LinearSystem:
         """Return the readings as they are, or with those of a plan as a further run."""
         linear = self._diagnosis.linear
         if plan is None:
@@ -209,7 +209,7 @@ class _Bill:
             others = [other for other in effect.cannot_tell_from if other in CATALOGUE]
             if not others or not effect.in_catalogue:
                 continue
-            design = Design(linear, diagnosis.noise, self._forms[:index] + self._forms[index + 1 :])
+            design = ReadingDesign(linear, diagnosis.noise, self._forms[:index] + self._forms[index + 1 :])
             if plan is not None:
                 design.remounted((effect.name, *others), self._mounts)
             for other in others:
@@ -230,7 +230,7 @@ class _Bill:
         ]
         bills = []
         for path, plan in self.plans.items():
-            design = Design(self._linear(plan), diagnosis.noise, self._forms)
+            design = ReadingDesign(self._linear(plan), diagnosis.noise, self._forms)
             shown = [n for n in blind if design.visible(forms_everywhere(n)) >= SHOWN]
             if shown:
                 bills.append((path, self._minutes(plan), tuple(shown)))
@@ -249,7 +249,7 @@ class _Bill:
         return f". Not possible on this bench: {told}" if told else ""
 
 
-def _looked_for(linear: Linear) -> frozenset[str]:
+def _looked_for(linear: LinearSystem) -> frozenset[str]:
     """Return the effects that were looked for: those that the model lacks and that have a size in the unit."""
     own = {applied.effect.name for applied in linear.model.effects}
     return frozenset(

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.base.arrays import Floats
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
@@ -53,7 +53,7 @@ class NoiseGrid:
 
 
 def make_noise_grid(
-    linear: Linear, sigma: float, setting_rad: float, ratios: Sequence[float] = RATIOS
+    linear: LinearSystem, sigma: float, setting_rad: float, ratios: Sequence[float] = RATIOS
 ) -> NoiseGrid:
     """Set up the maps. `sigma` is a first estimate of the reading noise, which only scales the stand's limits.
 
@@ -80,7 +80,7 @@ def make_noise_grid(
     return NoiseGrid(np.stack(whites), np.array(log_dets), log_prior, grid / typical, sigma)
 
 
-def _white(linear: Linear, setting: float, slope2: Floats, sigma: float) -> tuple[Floats, float]:
+def _white(linear: LinearSystem, setting: float, slope2: Floats, sigma: float) -> tuple[Floats, float]:
     n = len(linear)
     factor = setting**2 * slope2
     shrink = (1.0 - 1.0 / np.sqrt(1.0 + factor)) / np.maximum(slope2, 1e-300)

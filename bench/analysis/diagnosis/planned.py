@@ -9,7 +9,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.model import Block, Conditions, ForwardModel
 from bench.procedure.plan import Plan, Read, SelectInput, SetTemperature
-from bench.readings.joined import Part, together
+from bench.readings.joined import JoinedPart, together
 from bench.readings.table import REFERENCE, REFERENCE_V, SHORTED, UNORIENTED, Readings, make_readings
 
 
@@ -91,7 +91,7 @@ def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, li
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
-    return together([Part(first), Part(planned)])
+    return together([JoinedPart(first), JoinedPart(planned)])
 
 
 def reads_inputs(plan: Plan) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, SIZES, Data, Search, Whitened
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
 from bench.base.arrays import Floats, Mask
 
@@ -68,7 +68,7 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
     )
 
 
-def posterior(linear: Linear, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
+def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
     """Estimate from `rows` (all by default) with the effects' columns (N, m), one prior size each."""
     mine = np.ones(len(linear), dtype=bool) if rows is None else rows
     design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
@@ -81,7 +81,7 @@ def posterior(linear: Linear, effects: Floats, noise: NoiseSize, rows: Mask | No
     return Posterior(covariance @ (white[:, :-1].T @ white[:, -1]), covariance, extra)
 
 
-def fit_found(linear: Linear, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
+def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
     """Estimate with all that was found, each effect with a prior of the size that it turned out to have.
 
     What the readings do not tell of an effect (how it divides between mountings, say) is then as uncertain as
@@ -102,7 +102,7 @@ def fit_found(linear: Linear, candidates: Candidates, naming: Naming, noise: Noi
     return Posterior(again.mean * whole, again.covariance * np.outer(whole, whole), again.effects)
 
 
-def whiten_rows(linear: Linear, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:
+def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:
     """Return R^(-1/2) times columns of the given rows; whole settings must be among them."""
     slope = linear.slope[rows][:, None]
     setting = linear.setting[rows]
@@ -119,7 +119,7 @@ def whiten_rows(linear: Linear, noise: NoiseSize, columns: Floats, rows: Mask) -
 
 
 def predicted_error(
-    linear: Linear, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Mask
+    linear: LinearSystem, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Mask
 ) -> tuple[Floats, float]:
     """Return measured less predicted in rows that were not used (n,), and its chi-square.
 

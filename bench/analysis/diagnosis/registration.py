@@ -9,11 +9,11 @@ from typing import Any
 
 from bench.analysis.diagnosis import candidates, evidence, naming, noise_grid, threshold, visibility, where
 from bench.analysis.diagnosis.holdout import folds_of
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.model import CATALOGUE
 
 
-def register(linear: Linear, limit: threshold.Threshold) -> dict[str, Any]:
+def register(linear: LinearSystem, limit: threshold.Threshold) -> dict[str, Any]:
     """Return catalogue, priors, threshold, limits of a tie and what is held out, with their SHA-256."""
     settled: dict[str, Any] = {
         "catalogue": {

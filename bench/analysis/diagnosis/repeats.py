@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.base.arrays import Floats
 
 LEAST_FREEDOM: Final = 6
@@ -27,7 +27,7 @@ class Repeats:
     freedom: int
 
 
-def noise_of_repeats(linear: Linear, resolution: float) -> Repeats:
+def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     """Return the scatter about a free value for each mounting and angle, each pass, and a slope in each mounting.
 
     The part along du/dphi has the setting error in it and is left out of `sigma`. Where there are too few

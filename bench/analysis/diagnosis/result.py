@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.holdout import Gap
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Found, Naming
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
 from bench.analysis.diagnosis.where import Place
@@ -94,7 +94,7 @@ class Diagnosis:
     detectable: Mapping[str, float]
     gap: Gap
     registered: Mapping[str, Any]
-    linear: Linear
+    linear: LinearSystem
     candidates: Candidates
     naming: Naming
     fitted: Posterior

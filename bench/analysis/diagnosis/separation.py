@@ -16,14 +16,14 @@ import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates, Variant
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.posterior import NoiseSize, whiten_rows
 from bench.base.arrays import Floats
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import VERIFICATION
 
 
-class Part(NamedTuple):
+class EffectPart(NamedTuple):
     """One number of an effect, at its plausible size: a parameter, of one channel or all, in certain mountings."""
 
     family: str
@@ -33,14 +33,14 @@ class Part(NamedTuple):
     channel: int | None
 
 
-Form = tuple[Part, ...]
+Form = tuple[EffectPart, ...]
 """A form that an effect may have: the numbers that it has then."""
 
 
 def form_of(candidates: Candidates, variant: Variant) -> Form:
     """Return a variant of a candidate, so that it can be looked at in other readings."""
     kinds = [candidates.kinds[place] for place in variant.columns]
-    return tuple(Part(variant.family, k.parameter, variant.shape, k.mounts, k.channel) for k in kinds)
+    return tuple(EffectPart(variant.family, k.parameter, variant.shape, k.mounts, k.channel) for k in kinds)
 
 
 def forms_of(candidates: Candidates, family: str) -> tuple[Form, ...]:
@@ -54,7 +54,7 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
     grids = [[(p.name, value) for value in p.grid] for p in parameters if p.grid]
     return tuple(
         tuple(
-            Part(family, p.name, shape, mounts, channel)
+            EffectPart(family, p.name, shape, mounts, channel)
             for p in parameters
             if not p.grid
             for channel in ((0, 1, 2) if p.per_channel else (None,))
@@ -63,18 +63,18 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
     )
 
 
-class Design:
+class ReadingDesign:
     """Readings, taken or planned, in which explanations are compared.
 
     `noise` is the size of the noise, `others` are effects that are in the model beside what is compared, each
     known no better than the readings tell.
     """
 
-    def __init__(self, linear: Linear, noise: NoiseSize, others: Sequence[Form] = ()) -> None:
+    def __init__(self, linear: LinearSystem, noise: NoiseSize, others: Sequence[Form] = ()) -> None:
         self.linear = linear
         self._noise = noise
-        self._unseen: dict[Part, Floats] = {}
-        self._seen: dict[Part, Floats] = {}
+        self._unseen: dict[EffectPart, Floats] = {}
+        self._seen: dict[EffectPart, Floats] = {}
         known = [self._column(part) * KNOWN_SIZE for form in others for part in form]
         self._make_free(known)
 
@@ -114,7 +114,7 @@ class Design:
         left: Floats = white - self._basis @ (self._basis.T @ white)
         return left
 
-    def _column(self, part: Part) -> Floats:
+    def _column(self, part: EffectPart) -> Floats:
         if part not in self._unseen:
             effect = CATALOGUE[part.family]
             size = next(p.plausible for p in effect.parameters if p.name == part.parameter)

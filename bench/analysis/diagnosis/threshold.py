@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bench.analysis.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES, Scores, Search, Whitened
-from bench.analysis.diagnosis.linear import Linear
+from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.noise_grid import RATIOS
 from bench.base.arrays import Floats
 from bench.model import CATALOGUE
@@ -54,7 +54,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
     return np.asarray(logsumexp(families, axis=0) - np.log(len(families)), dtype=np.float64)
 
 
-def null_responses(linear: Linear, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
+def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
     """Draw responses (N, sets) of readings in which nothing is missing; `ratios` (sets,) of the noise."""
     sets = len(ratios)
     count = int(linear.setting.max()) + 1
@@ -68,7 +68,7 @@ def null_responses(linear: Linear, sigma: float, ratios: Floats, rng: np.random.
     return response
 
 
-def make_threshold(linear: Linear, whitened: Whitened, nulls: int = NULLS) -> Threshold:
+def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
     """Simulate `nulls` data sets on this very design and find what chance gives.
 
     The ratio of the two noise sizes is drawn from what the bench file says of it.
@@ -103,7 +103,7 @@ class ThresholdCache:
 
     folder: Path | None
 
-    def threshold(self, linear: Linear, whitened: Whitened, setting_rad: float) -> Threshold:
+    def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of a design, simulated where it is not known yet."""
         if self.folder is None:
             return make_threshold(linear, whitened)
@@ -122,7 +122,7 @@ class ThresholdCache:
         return made
 
 
-def _key(linear: Linear, whitened: Whitened, setting_rad: float) -> str:
+def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
     readings = linear.readings
     scale = np.abs(np.diag(linear.block.K)).mean()
     parts: list[object] = [

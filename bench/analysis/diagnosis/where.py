@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from bench.analysis.diagnosis.linear import MODULUS, Linear
+from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
 from bench.base.arrays import CHANNELS, Floats
 
@@ -59,7 +59,9 @@ class _Look:
     columns: Floats
 
 
-def find_places(linear: Linear, grid: NoiseGrid, ratio: int, sigma: float, freedom: int) -> tuple[Place, ...]:
+def find_places(
+    linear: LinearSystem, grid: NoiseGrid, ratio: int, sigma: float, freedom: int
+) -> tuple[Place, ...]:
     """Return the patterns that stand out of the noise with all looks counted, at most `MOST_PLACES`.
 
     `sigma` is the noise of a reading as the repeats give it, with `freedom`; `ratio` says which of the grid.
@@ -99,7 +101,7 @@ def find_places(linear: Linear, grid: NoiseGrid, ratio: int, sigma: float, freed
     return tuple(places)
 
 
-def _looks(linear: Linear) -> list[_Look]:
+def _looks(linear: LinearSystem) -> list[_Look]:
     rows, readings = linear.rows, linear.readings
     label = readings.installation[rows.reading]
     series = readings.series[rows.reading]
@@ -123,19 +125,19 @@ def _looks(linear: Linear) -> list[_Look]:
     return looks
 
 
-def _single(linear: Linear, row: int) -> Floats:
+def _single(linear: LinearSystem, row: int) -> Floats:
     column = np.zeros((len(linear), 1))
     column[row] = 1.0
     return column
 
 
-def _point_of(linear: Linear, row: int) -> str:
+def _point_of(linear: LinearSystem, row: int) -> str:
     reading = linear.rows.reading[row]
     readings = linear.readings
     return f"single reading: pass {readings.pass_number[reading]}, point {readings.point[reading]}"
 
 
-def _in_mount(linear: Linear, own: NDArray[np.bool_], channel: str, mount: str) -> list[_Look]:
+def _in_mount(linear: LinearSystem, own: NDArray[np.bool_], channel: str, mount: str) -> list[_Look]:
     readings, reading = linear.readings, linear.rows.reading
     angle = readings.angle_rad[reading]
     passes = readings.pass_number[reading]
@@ -162,7 +164,7 @@ def _in_mount(linear: Linear, own: NDArray[np.bool_], channel: str, mount: str) 
     return looks
 
 
-def _over_run(linear: Linear, own: NDArray[np.bool_], channel: str) -> list[_Look]:
+def _over_run(linear: LinearSystem, own: NDArray[np.bool_], channel: str) -> list[_Look]:
     readings, reading = linear.readings, linear.rows.reading
     looks = []
     for pattern, values in (("time", readings.time_s), ("temperature", readings.temperature_c)):

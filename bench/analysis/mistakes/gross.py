@@ -53,7 +53,7 @@ EQUAL: Final = 12.0
 
 
 @dataclass(frozen=True)
-class Scores:
+class SuppositionScores:
     """Cost (-2 ln posterior) and coefficients (H, 4, 3) of each supposition, a column a channel's K_i and U0_i.
 
     `sheet` is the data sheet's part of the cost: how far the coefficients lie from it, as a chi-square.
@@ -107,7 +107,7 @@ class GrossSearch:
         found = scores.coefficients[0]
         return Block(found[:3].T.copy(), found[3].copy()), float(scores.sheet[0])
 
-    def score(self, table: Oriented, supposed: Sequence[Reinterpretation]) -> Scores:
+    def score(self, table: Oriented, supposed: Sequence[Reinterpretation]) -> SuppositionScores:
         """Return the cost of each supposition; unit-free, in `GROSS_G`."""
         scale = self._scale(table)
         signal = np.stack([s.signal(table) for s in supposed]) / (GROSS_G * scale)
@@ -196,12 +196,12 @@ def put_right(table: Oriented, supposition: Reinterpretation) -> Oriented:
     )
 
 
-def _fits(scores: Scores, n: int) -> NDArray[np.bool_]:
+def _fits(scores: SuppositionScores, n: int) -> NDArray[np.bool_]:
     """Whether readings (n of them) fit with each supposition, (H,)."""
     return np.asarray((scores.sheet <= LEAST_FALL) & (scores.cost <= LEAST_FALL + FITS * 3 * n))
 
 
-def _better(scores: Scores, best: int, n: int) -> bool:
+def _better(scores: SuppositionScores, best: int, n: int) -> bool:
     """Whether a supposition that does not make the readings fit is the first step of more than two to it."""
     falls = scores.cost[best] <= (1 - LARGE_FALL) * scores.cost[0]
     against_sheet_alone = scores.cost[best] - scores.sheet[best] <= FITS * 3 * n
@@ -210,7 +210,7 @@ def _better(scores: Scores, best: int, n: int) -> bool:
 
 def _fit(
     columns: Floats, signal: Floats, weight: Floats, mean: Floats, precision: Floats, unit: Floats
-) -> Scores:
+) -> SuppositionScores:
     """Fit each supposition, leaving out readings that fit it least, one after another.
 
     `columns` (H, n, 4), `signal` (H, n, 3), `weight` (H, n), `mean` and `precision` (4, 3); `unit` (3,) is
@@ -228,7 +228,7 @@ def _fit(
         weight[np.arange(len(at)), gain.argmax(axis=1)] = 0.0
         fitted = _weighted_fit(columns[at], signal[at], weight, mean, precision)
         cost[at], sheet[at], coefficients[at], gain = fitted[0] + left_out * LEFT_OUT, *fitted[1:]
-    return Scores(cost, sheet, coefficients * unit)
+    return SuppositionScores(cost, sheet, coefficients * unit)
 
 
 def _weighted_fit(

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, Labels, Mask
-from bench.model import Mount
+from bench.model import Mounting
 from bench.readings.table import REFERENCE, UNORIENTED, VERIFICATION, Readings
 
 OTHER_MOUNTING: Final = "other_mounting"
@@ -37,7 +37,7 @@ class Oriented:
     """The rows of a table that have an orientation: `rows` (n,) are their places in it."""
 
     rows: Ints
-    mounts: tuple[Mount, ...]
+    mounts: tuple[Mounting, ...]
     mount: Ints
     pass_number: Ints
     label: Labels
@@ -74,7 +74,7 @@ class Scope:
     """Where a supposition holds: `mask` (n,); no mount named is the whole run, no pass all of them."""
 
     mask: Mask
-    mounts: tuple[Mount, ...] = ()
+    mounts: tuple[Mounting, ...] = ()
     pass_number: int | None = None
 
     @property

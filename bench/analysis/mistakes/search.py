@@ -110,7 +110,7 @@ def find_mistakes(
 
 
 @dataclass(frozen=True)
-class _View:
+class _FirstGuess:
     """The oriented rows of a table before the fit; `block` is a first guess that wrong readings do not spoil."""
 
     table: Oriented
@@ -137,13 +137,13 @@ class _Stage:
     stand_u: Mapping[str, float]
     gross: GrossSearch
 
-    def view(self, readings: Readings) -> _View:
+    def view(self, readings: Readings) -> _FirstGuess:
         """Look at a table; `sheet` is how far the coefficients lie from the data sheet, as a chi-square."""
         table = Oriented.of(readings)
         problem = make_problem(self.model, readings.oriented().conditions(), self.stand_u)
         block, sheet = self.gross.first_guess(table)
         floor = noise_floor(problem, table.signal, readings.resolution)
-        return _View(table, problem, block, floor, sheet, readings.unit)
+        return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
 
 
 def _told_gross(gross: GrossMistake) -> Mistake:
@@ -166,7 +166,7 @@ def _told_gross(gross: GrossMistake) -> Mistake:
     )
 
 
-def _told_single(view: _View, single: SingleMistake) -> Mistake:
+def _told_single(view: _FirstGuess, single: SingleMistake) -> Mistake:
     conditions = view.problem.conditions
     mount = str(conditions.mounts[conditions.mount[single.row]])
     number, point = int(conditions.pass_number[single.row]), int(conditions.point[single.row])
@@ -183,7 +183,7 @@ def _told_single(view: _View, single: SingleMistake) -> Mistake:
     )
 
 
-def _single_words(view: _View, single: SingleMistake) -> str:
+def _single_words(view: _FirstGuess, single: SingleMistake) -> str:
     stated = float(np.degrees(view.table.angle_rad[single.row]))
     if single.off_rad is not None:
         words = (
@@ -204,7 +204,7 @@ def _single_words(view: _View, single: SingleMistake) -> str:
     )
 
 
-def _put_right(readings: Readings, view: _View, singles: Sequence[SingleMistake]) -> Readings:
+def _put_right(readings: Readings, view: _FirstGuess, singles: Sequence[SingleMistake]) -> Readings:
     """Return a copy with the angles of wrong settings put right, and without the readings with an outlier."""
     angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
     skipped = list(readings.skipped)

@@ -35,7 +35,7 @@ LEAST_FREEDOM: Final = 6
 
 
 @dataclass(frozen=True)
-class Candidates:
+class SettingPool:
     """Settings that may be chosen: whitened derivatives `rows` (c, 3, p), the 12 coefficients first.
 
     The p - 12 angles of the mountings are in units of their prior standard uncertainty.
@@ -55,10 +55,10 @@ class Candidates:
         return added
 
 
-class Design:
+class ExchangeDesign:
     """Visits `counts` (c,) to the candidates, for goals; moves change them one visit at a time."""
 
-    def __init__(self, candidates: Candidates, goals: Sequence[Goal], counts: Ints | None = None) -> None:
+    def __init__(self, candidates: SettingPool, goals: Sequence[Goal], counts: Ints | None = None) -> None:
         self._rows = candidates.rows
         self._information_of = candidates.information
         self._functionals = np.concatenate([goal.functionals for goal in goals])
@@ -179,12 +179,12 @@ def widening(freedom: float) -> float:
     return Noise(1.0, 1.0, max(float(freedom), 1.0), "residuals").widened().reading
 
 
-def least_settings(candidates: Candidates) -> int:
+def least_settings(candidates: SettingPool) -> int:
     """Return the fewest settings that tell the coefficients, the angles of the mountings and the noise."""
     return -(-(candidates.unknowns + LEAST_FREEDOM) // 3)
 
 
-def even(candidates: Candidates, mounts: int, settings: int) -> Ints:
+def even(candidates: SettingPool, mounts: int, settings: int) -> Ints:
     """Return counts (c,) of settings spread evenly over the mountings and over the angles of each."""
     angles = len(candidates.rows) // mounts
     counts = np.zeros((mounts, angles), dtype=np.int64)
@@ -194,20 +194,20 @@ def even(candidates: Candidates, mounts: int, settings: int) -> Ints:
     return counts.ravel()
 
 
-def best_of(candidates: Candidates, goals: Sequence[Goal], mounts: int, settings: int) -> Design:
+def best_of(candidates: SettingPool, goals: Sequence[Goal], mounts: int, settings: int) -> ExchangeDesign:
     """Return the best design of so many settings that exchanges find, from a greedy and from an even start."""
-    greedy = Design(candidates, goals)
+    greedy = ExchangeDesign(candidates, goals)
     for _ in range(settings):
         greedy.add_best()
-    spread = Design(candidates, goals, even(candidates, mounts, settings))
+    spread = ExchangeDesign(candidates, goals, even(candidates, mounts, settings))
     for design in (greedy, spread):
         design.exchange()
     return min((greedy, spread), key=lambda design: design.largest)
 
 
-def fewest(candidates: Candidates, goals: Sequence[Goal], mounts: int, most: int) -> Design | None:
+def fewest(candidates: SettingPool, goals: Sequence[Goal], mounts: int, most: int) -> ExchangeDesign | None:
     """Return the design with the fewest settings found that reaches all goals, None with more than `most`."""
-    design = Design(candidates, goals)
+    design = ExchangeDesign(candidates, goals)
     if design.limit() > 1:
         return None
     least = least_settings(candidates)
@@ -227,7 +227,7 @@ def fewest(candidates: Candidates, goals: Sequence[Goal], mounts: int, most: int
         if design.largest > 1:
             design.exchange()
         if design.largest > 1:
-            design = Design(candidates, goals, even(candidates, mounts, design.settings))
+            design = ExchangeDesign(candidates, goals, even(candidates, mounts, design.settings))
             design.exchange()
         if design.largest > 1:
-            return Design(candidates, goals, reached)
+            return ExchangeDesign(candidates, goals, reached)

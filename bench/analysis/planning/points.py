@@ -15,11 +15,18 @@ from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.design import FIXED, make_problem
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
 from bench.analysis.calibration.result import CalibrationError, Noise
-from bench.analysis.planning.exchange import Candidates, Design, best_of, fewest, least_settings, widening
+from bench.analysis.planning.exchange import (
+    ExchangeDesign,
+    SettingPool,
+    best_of,
+    fewest,
+    least_settings,
+    widening,
+)
 from bench.analysis.planning.goals import Goal, worst
 from bench.analysis.planning.settings import Cost, Setting, conditions_of
 from bench.base.arrays import Floats
-from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mount
+from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mounting
 
 _ROUNDS: Final = 4
 """Searches until the goals are reached with the noise that repeats and residuals will really tell."""
@@ -78,7 +85,7 @@ def repeats(conditions: Conditions) -> int:
 class Sites:
     """Everywhere that the head may stand: each of `mounts` at each of the angles `angle_rad` (a,)."""
 
-    def __init__(self, stand: Stand, mounts: Sequence[Mount], angle_rad: Floats) -> None:
+    def __init__(self, stand: Stand, mounts: Sequence[Mounting], angle_rad: Floats) -> None:
         self.mounts = tuple(mounts)
         self._kind = _kinds(stand.model, mounts, angle_rad)
         self.angle_rad = angle_rad
@@ -89,13 +96,13 @@ class Sites:
         self._rows = whiten(linear.jacobian, linear.slope, stand.noise) * scale
         self._mount_of_column = np.array([s.mount for s in problem.stand], dtype=np.int64)
 
-    def candidates(self, chosen: Sequence[int]) -> Candidates:
+    def candidates(self, chosen: Sequence[int]) -> SettingPool:
         """Return the candidates in some of the mountings, by their numbers, angle by angle."""
         rows = np.concatenate([np.arange(len(self.angle_rad)) + m * len(self.angle_rad) for m in chosen])
         columns = np.concatenate(
             [np.arange(FIXED), FIXED + np.flatnonzero(np.isin(self._mount_of_column, chosen))]
         )
-        return Candidates(self._rows[np.ix_(rows, np.arange(3), columns)])
+        return SettingPool(self._rows[np.ix_(rows, np.arange(3), columns)])
 
     def choices(self, most: int) -> Iterator[tuple[int, ...]]:
         """Yield the numbers of mountings to combine, few first, without those that come to the same.
@@ -115,7 +122,7 @@ class Sites:
         return max(m for m in range(mount) if self._kind[m] == self._kind[mount])
 
 
-def _kinds(model: ForwardModel, mounts: Sequence[Mount], angle_rad: Floats) -> list[tuple[float, ...]]:
+def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -> list[tuple[float, ...]]:
     """A key for each mounting, the same where they come to the same; each its own where the turn is not whole."""
     turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
     if len(np.unique(np.round(turned, 6))) > len(angle_rad):
@@ -128,7 +135,7 @@ def _kinds(model: ForwardModel, mounts: Sequence[Mount], angle_rad: Floats) -> l
 class Points:
     """Chosen test points: how often each angle is visited in each mounting, with the goals that they serve."""
 
-    visits: Mapping[Mount, Mapping[float, int]]
+    visits: Mapping[Mounting, Mapping[float, int]]
     goals: tuple[Goal, ...]
     covariance: Floats
     cost: Cost
@@ -183,7 +190,7 @@ def passes(angles: Mapping[float, int]) -> list[Passes]:
     return found
 
 
-def _in_order(mount: Mount, angles: Mapping[float, int]) -> Iterator[Setting]:
+def _in_order(mount: Mounting, angles: Mapping[float, int]) -> Iterator[Setting]:
     for group in passes(angles):
         points = list(enumerate(group.angle_rad, start=group.first_point))
         for number, direction in enumerate(group.directions, start=1):
@@ -194,7 +201,7 @@ def _in_order(mount: Mount, angles: Mapping[float, int]) -> Iterator[Setting]:
 # --- the search -------------------------------------------------------------------------------------
 
 
-_Found = tuple[tuple[int, ...], Design]
+_Found = tuple[tuple[int, ...], ExchangeDesign]
 
 
 def cheapest(
@@ -244,7 +251,7 @@ def best_within(
     least_s = math.inf
     for chosen in sites.choices(most_mounts):
         candidates = sites.candidates(chosen)
-        whole = Design(candidates, goals)
+        whole = ExchangeDesign(candidates, goals)
         if not whole.determines:
             continue
         least_s = min(least_s, cost.total_s(least_settings(candidates), len(chosen)))
@@ -269,7 +276,9 @@ def _too_short(time_s: float, least_s: float) -> str:
 
 
 def _unreachable(sites: Sites, goals: Sequence[Goal], most_settings: int, most_mounts: int) -> str:
-    designs = [(Design(sites.candidates(chosen), goals), chosen) for chosen in sites.choices(most_mounts)]
+    designs = [
+        (ExchangeDesign(sites.candidates(chosen), goals), chosen) for chosen in sites.choices(most_mounts)
+    ]
     limits = [(design.limit(), chosen) for design, chosen in designs if design.determines]
     if not limits:
         return _too_short(0.0, math.inf)
@@ -288,7 +297,12 @@ def _unreachable(sites: Sites, goals: Sequence[Goal], most_settings: int, most_m
 
 
 def _points(
-    stand: Stand, sites: Sites, chosen: Sequence[int], design: Design, goals: Sequence[Goal], cost: Cost
+    stand: Stand,
+    sites: Sites,
+    chosen: Sequence[int],
+    design: ExchangeDesign,
+    goals: Sequence[Goal],
+    cost: Cost,
 ) -> Points:
     """The chosen points in order, with their covariance as the estimator itself has it."""
     counts = design.counts.reshape(len(chosen), len(sites.angle_rad))

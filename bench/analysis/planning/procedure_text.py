@@ -9,7 +9,7 @@ from typing import Final
 
 from bench.analysis.planning.points import passes
 from bench.analysis.planning.settings import Cost
-from bench.model import Mount
+from bench.model import Mounting
 from bench.procedure.plan import Plan, Read
 from bench.readings.table import VERIFICATION
 
@@ -43,7 +43,7 @@ class Times:
 def procedure_text(
     name: str,
     remarks: str,
-    visits: Mapping[Mount, Mapping[float, int]],
+    visits: Mapping[Mounting, Mapping[float, int]],
     times: Times,
     *,
     verified: bool,

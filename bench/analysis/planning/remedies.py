@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.calibration.design import make_problem
-from bench.analysis.calibration.null_space import Kind, told_axis
+from bench.analysis.calibration.null_space import DirectionKind, told_axis
 from bench.analysis.calibration.observability import Observability, observability, with_angles
 from bench.analysis.planning.settings import Cost, Setting, conditions_of, fitted, verifying
-from bench.model import Block, ForwardModel, Installation, Mount
+from bench.model import Block, ForwardModel, Installation, Mounting
 from bench.readings.table import VERIFICATION
 
 ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "mounting_roll")
@@ -52,12 +52,12 @@ class Outlook:
     @property
     def turns(self) -> list[str]:
         """Axes about which the block's axes may turn together: a convention, which no mounting shows."""
-        return [told_axis(d.axis) for d in self.found.directions if d.kind is Kind.TURN]
+        return [told_axis(d.axis) for d in self.found.directions if d.kind is DirectionKind.TURN]
 
     @property
     def open(self) -> list[str]:
         """The other directions that leave no trace."""
-        return [d.text() for d in self.found.directions if d.kind is not Kind.TURN]
+        return [d.text() for d in self.found.directions if d.kind is not DirectionKind.TURN]
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON values."""
@@ -83,7 +83,7 @@ def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost
     own = fitted(settings)
     found = _observability(own, (), model, block)
     remedies = []
-    if any(d.kind is not Kind.TURN for d in found.directions):
+    if any(d.kind is not DirectionKind.TURN for d in found.directions):
         wider = ForwardModel({**model.installations, THIRD.label: THIRD}, model.effects, model.name)
         for more in _menu(settings, model, cost):
             then = _observability([*own, *more.settings], more.modulus, wider, block)
@@ -122,7 +122,7 @@ def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[
     if there:
         menu.append(_Candidate("let the verification points join the fit by |a| = 1 g", modulus=tuple(there)))
     elif VERIFICATION in model.installations:
-        points = _one_pass(Mount(1, VERIFICATION), _VERIFICATION_RAD)
+        points = _one_pass(Mounting(1, VERIFICATION), _VERIFICATION_RAD)
         text = "four verification points (installation V) that join the fit by |a| = 1 g"
         menu.append(_Candidate(text, modulus=points, cost_s=cost.total_s(len(points), 1)))
     visited = {s.mount.installation for s in settings}
@@ -135,19 +135,19 @@ def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[
             text += f", as in the procedure '{_SHIPPED[label]}'"
         elif label not in model.installations:
             text += " (axes [y, z, x]: x along the shaft), to be defined in the bench file"
-        menu.append(_with_pass(text, Mount(1, label), cost))
+        menu.append(_with_pass(text, Mounting(1, label), cost))
     if visited - {VERIFICATION}:
         first = next(s.mount.installation for s in settings if s.mount.installation != VERIFICATION)
         series = 1 + max(s.mount.series for s in settings if s.mount.installation == first)
         text = f"a return to installation {first}, as in the procedure 'return'"
-        menu.append(_with_pass(text, Mount(series, first), cost))
+        menu.append(_with_pass(text, Mounting(series, first), cost))
     return menu
 
 
-def _with_pass(text: str, mount: Mount, cost: Cost) -> _Candidate:
+def _with_pass(text: str, mount: Mounting, cost: Cost) -> _Candidate:
     points = _one_pass(mount, _PASS_RAD)
     return _Candidate(text, settings=points, cost_s=cost.total_s(len(points), 1))
 
 
-def _one_pass(mount: Mount, angles_rad: Sequence[float]) -> tuple[Setting, ...]:
+def _one_pass(mount: Mounting, angles_rad: Sequence[float]) -> tuple[Setting, ...]:
     return tuple(Setting(mount, 1, point, angle, 1) for point, angle in enumerate(angles_rad, start=1))

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from scipy.optimize import brentq
 
-from bench.analysis.budget import Budget, Setup, Source, make_budget
+from bench.analysis.budget import Budget, ErrorSource, Setup, make_budget
 from bench.analysis.budget.acceleration import delta_g, directions, measured
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
@@ -81,7 +81,7 @@ class Limit:
     Infinite where any size will do, None where the accuracy cannot be reached with a size of zero.
     """
 
-    source: Source
+    source: ErrorSource
     u: float | None
 
     @property
@@ -122,7 +122,7 @@ class Requirement:
     """
 
     setup: Setup
-    sources: tuple[Source, ...]
+    sources: tuple[ErrorSource, ...]
     estimator: str
     target: Target
     accuracy: float
@@ -172,7 +172,7 @@ class Requirement:
 
     # --- each alone ---------------------------------------------------------------------------------
 
-    def alone(self, source: Source) -> Limit:
+    def alone(self, source: ErrorSource) -> Limit:
         """Return how large one source may be, the others being as the bench has them."""
 
         def excess(u: float) -> float:
@@ -255,7 +255,9 @@ class Requirement:
         least = _LEAST_PART * max(cost.values())
         return {name: max(cost[name], least) ** (2 / 3) for name in names}
 
-    def _settled(self, own: Mapping[str, Source], sizes: dict[str, float], free: set[str]) -> list[Limit]:
+    def _settled(
+        self, own: Mapping[str, ErrorSource], sizes: dict[str, float], free: set[str]
+    ) -> list[Limit]:
         """Scale the sizes that have a limit together until the accuracy is just kept to."""
 
         def excess(log_factor: float) -> float:

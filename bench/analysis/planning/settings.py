@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bench.model import Conditions, Mount
+from bench.model import Conditions, Mounting
 from bench.procedure.plan import Plan, Read, Turn, Wait
 from bench.readings.table import UNORIENTED, VERIFICATION
 
@@ -14,7 +14,7 @@ from bench.readings.table import UNORIENTED, VERIFICATION
 class Setting(NamedTuple):
     """One reading of a mounted block: which mounting, pass and point, the head's angle, from which side."""
 
-    mount: Mount
+    mount: Mounting
     pass_number: int
     point: int
     angle_rad: float
@@ -37,7 +37,7 @@ def settings_of(plan: Plan) -> list[Setting]:
     """Return the settings at which a plan reads the mounted block, verification points among them."""
     return [
         Setting(
-            Mount(step.series, step.installation),
+            Mounting(step.series, step.installation),
             step.pass_number,
             step.point,
             step.target_rad,

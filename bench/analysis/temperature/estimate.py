@@ -15,9 +15,9 @@ from bench.analysis.calibration.calibrate import usable_rows
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.result import CalibrationError, LackOfFit
 from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judge, least_noise, row_outputs
-from bench.analysis.temperature.model import Hysteresis, PlateauResult, TemperatureModel
+from bench.analysis.temperature.model import PlateauResult, TemperatureModel, ThermalHysteresis
 from bench.analysis.temperature.plateaus import Plateau, ThermalReadings, sort_readings
-from bench.analysis.temperature.selection import Choice, choose_degrees
+from bench.analysis.temperature.selection import DegreeChoice, choose_degrees
 from bench.base.arrays import Floats, Mask
 from bench.model.forward import ForwardModel
 from bench.readings.table import Readings
@@ -82,7 +82,7 @@ def temperature_model(
     if degree is None:
         choice = choose_degrees(full, highest)
     else:
-        choice = Choice(np.full(FIXED, degree), np.zeros((0, FIXED, highest + 1)))
+        choice = DegreeChoice(np.full(FIXED, degree), np.zeros((0, FIXED, highest + 1)))
     terms = np.arange(highest + 1) <= choice.degrees[:, None]
     if by_side:
         terms = np.column_stack([terms, np.ones(FIXED, dtype=np.bool_)])
@@ -172,7 +172,7 @@ def _highest(body: _Body, degree: int | None) -> tuple[int, bool]:
     )
 
 
-def _in_kelvins(best: ThermalFit, choice: Choice, scale_k: float) -> tuple[Floats, Floats]:
+def _in_kelvins(best: ThermalFit, choice: DegreeChoice, scale_k: float) -> tuple[Floats, Floats]:
     """Return values (12, D + 1) and their covariance per K^d, the doubts about what was left out in it."""
     count = choice.doubts.shape[2]
     coefficient, function = np.nonzero(best.terms)
@@ -189,7 +189,7 @@ def _in_kelvins(best: ThermalFit, choice: Choice, scale_k: float) -> tuple[Float
     return best.values[:, :count] * unit, covariance * np.outer(every, every)
 
 
-def _hysteresis(best: ThermalFit) -> Hysteresis:
+def _hysteresis(best: ThermalFit) -> ThermalHysteresis:
     last = best.terms.shape[1] - 1
     _, function = np.nonzero(best.terms)
     size, covariance = best.values[:, last], best.covariance[np.ix_(function == last, function == last)]
@@ -197,7 +197,7 @@ def _hysteresis(best: ThermalFit) -> Hysteresis:
     dof = min(best.noise.dof, 1e9)
     each = special.fdtrc(1.0, dof, size**2 / np.diag(covariance))
     p = float(special.fdtrc(FIXED, dof, chi2 / FIXED))
-    return Hysteresis(size, covariance, p, np.minimum(FIXED * each, 1.0))
+    return ThermalHysteresis(size, covariance, p, np.minimum(FIXED * each, 1.0))
 
 
 def _plateaus(

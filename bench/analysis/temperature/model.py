@@ -29,7 +29,7 @@ class PlateauResult:
 
 
 @dataclass(frozen=True)
-class Hysteresis:
+class ThermalHysteresis:
     """Rising minus falling at the same temperature, `size` (12,) with `covariance` (12, 12).
 
     One size for all temperatures reached from both sides. `p` is that of all twelve together (chi-square),
@@ -91,7 +91,7 @@ class TemperatureModel:
     degrees: Ints
     values: Floats
     covariance: Floats
-    hysteresis: Hysteresis | None
+    hysteresis: ThermalHysteresis | None
     plateaus: tuple[PlateauResult, ...]
     noise: Noise
     fitted: LackOfFit
@@ -190,7 +190,7 @@ class TemperatureModel:
         }
 
 
-def _hysteresis_json(hysteresis: Hysteresis) -> dict[str, Any]:
+def _hysteresis_json(hysteresis: ThermalHysteresis) -> dict[str, Any]:
     rows = zip(COEFFICIENTS, hysteresis.size, hysteresis.u, hysteresis.p_each, strict=True)
     return {
         "rising_minus_falling": {

@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.analysis.calibration import CalibrationError
 from bench.base.arrays import Floats, Ints, Mask
-from bench.readings.joined import Part, together
+from bench.readings.joined import JoinedPart, together
 from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, Readings
 
 PLATEAU_K: Final = 2.0
@@ -113,7 +113,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
             "orientation; a calibration needs installations 1 and 2"
         )
     return ThermalReadings(
-        parts[0] if len(parts) == 1 else together([Part(part) for part in parts]),
+        parts[0] if len(parts) == 1 else together([JoinedPart(part) for part in parts]),
         np.concatenate(mountings),
         np.concatenate(visits),
         np.concatenate(branches),

@@ -23,7 +23,7 @@ NEXT: Final = 2
 
 
 @dataclass(frozen=True)
-class Choice:
+class DegreeChoice:
     """Degrees (12,), and doubts (2, 12, D + 1): what each of the next two terms would change, were it let in.
 
     One of the two is even and one is odd in temperature. Zero where the full degree leaves none out.
@@ -33,7 +33,7 @@ class Choice:
     doubts: Floats
 
 
-def choose_degrees(full: ThermalFit, highest: int) -> Choice:
+def choose_degrees(full: ThermalFit, highest: int) -> DegreeChoice:
     """Choose the degrees from a fit in which every coefficient has powers 0…`highest` (the first columns).
 
     The least significant of the highest terms is dropped, one at a time, until an F test with the noise's
@@ -52,7 +52,7 @@ def choose_degrees(full: ThermalFit, highest: int) -> Choice:
         if p[worst] <= STAYS_P:
             break
         degrees[coefficient[keep][top][worst]] -= 1
-    return Choice(degrees, _doubts(full, highest, degrees))
+    return DegreeChoice(degrees, _doubts(full, highest, degrees))
 
 
 def held_at_zero(value: Floats, covariance: Floats, keep: Mask) -> tuple[Floats, Floats]:

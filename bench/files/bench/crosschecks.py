@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from bench.base.arrays import CHANNELS
 from bench.base.form_mistakes import Place, unknown_word
 from bench.base.forms import part
-from bench.base.units import SCALE_FACTOR, VOLTAGE, Kind, parse_quantity
+from bench.base.units import SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
 from bench.devices.voltmeters import written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
@@ -171,7 +171,7 @@ def _items(written: Any) -> list[Any]:
     return written if isinstance(written, list) else []
 
 
-def _value(written: Any, kind: Kind) -> float | None:
+def _value(written: Any, kind: QuantityKind) -> float | None:
     """Return a quantity as written, None where it cannot be read (which is told elsewhere)."""
     try:
         return parse_quantity(written, kind)

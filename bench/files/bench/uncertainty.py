@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Final
 
 from bench.base.forms import FileModel
-from bench.base.units import GRAVITY, RATIO, Kind, not_negative
+from bench.base.units import GRAVITY, RATIO, QuantityKind, not_negative
 from bench.devices.chambers import SizeK
 from bench.files.bench.stand import ErrorSize, VoltageError
 
-BIAS_PER_K: Final = Kind("a temperature coefficient of the bias", "30 ug/K", "g/K")
-SCALE_PER_K: Final = Kind("a temperature coefficient of the scale factor", "180 ppm/K", "1/K")
-QUADRATIC: Final = Kind("a quadratic nonlinearity", "30 ug/g^2", "g/g^2")
-CUBIC: Final = Kind("a cubic nonlinearity", "20 ug/g^3", "g/g^3")
+BIAS_PER_K: Final = QuantityKind("a temperature coefficient of the bias", "30 ug/K", "g/K")
+SCALE_PER_K: Final = QuantityKind("a temperature coefficient of the scale factor", "180 ppm/K", "1/K")
+QUADRATIC: Final = QuantityKind("a quadratic nonlinearity", "30 ug/g^2", "g/g^2")
+CUBIC: Final = QuantityKind("a cubic nonlinearity", "20 ug/g^3", "g/g^3")
 
 
 class RatioError(ErrorSize):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bench.base.arrays import Floats
 from bench.model import Block, Conditions, ForwardModel
-from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, Pose, poses
+from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judgement, NoiseSizes, poses
 from drivers.angles import format_dms
 
 TIE: Final = 6.0
@@ -65,13 +65,13 @@ class Sighting:
     place: str
     row: Conditions
     signal_v: Floats
-    pose: Pose
+    pose: ExpectedPose
     new_mount: bool
     loosened: Floats
     taken: bool = False
     poorly_known: bool = False
     struck: bool = False
-    poses: Pose | None = None
+    poses: ExpectedPose | None = None
 
     @property
     def installation(self) -> str:
@@ -268,7 +268,7 @@ class Inquiry:
             state.take(judged, taken[i])
         return Replay(state, cost, before, taken)
 
-    def _all_poses(self, sighting: Sighting) -> Pose:
+    def _all_poses(self, sighting: Sighting) -> ExpectedPose:
         if sighting.poses is None:
             label, angle = sighting.installation, sighting.angle_rad
             others = self._others(label)
@@ -291,8 +291,8 @@ def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
     return sorted((s for s in ranked.values() if s.cost - best < TIE), key=lambda s: s.cost)
 
 
-def _chosen(pose: Pose, index: NDArray[np.int64]) -> Pose:
-    return Pose(pose.force[index], pose.slopes[index], pose.addition[index])
+def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
+    return ExpectedPose(pose.force[index], pose.slopes[index], pose.addition[index])
 
 
 def _wrong_installation(actual: str, stated: str) -> str:

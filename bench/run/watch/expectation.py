@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
-from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel, Mount
+from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel, Mounting
 
 COEFFICIENT_COUNT: Final = 12
 SETTING: Final = len(STAND_ANGLES)
@@ -30,7 +30,7 @@ STATED_WORTH: Final = 12.0
 _STEP_RAD: Final = 1e-5
 
 
-class Pose(NamedTuple):
+class ExpectedPose(NamedTuple):
     """How gravity acts on the block at a reading.
 
     `force` (…, 3) in g at a stand without errors; `slopes` (…, 3, 6) its derivatives by the stand's angles
@@ -44,7 +44,7 @@ class Pose(NamedTuple):
 
 def poses(
     model: ForwardModel, block: Block, row: Conditions, installations: Sequence[str], angle_rad: Floats
-) -> Pose:
+) -> ExpectedPose:
     """Return the poses (v, …) of one reading, if the block sat and the head stood as the v variants say.
 
     `row` has the conditions of the one reading, `block` is where effects that depend on it are taken.
@@ -53,7 +53,7 @@ def poses(
     variants, columns = len(angle_rad), SETTING + 2
     series = row.mounts[0].series
     rows = variants * columns
-    mounts = tuple(Mount(series, label) for label in installations for _ in range(columns))
+    mounts = tuple(Mounting(series, label) for label in installations for _ in range(columns))
     repeated: dict[str, Any] = {
         name: np.repeat(getattr(row, name), rows, axis=0)
         for name in ("pass_number", "point", "direction", "time_s", "temperature_c", "scan_order")
@@ -68,7 +68,7 @@ def poses(
         addition = model.readings(block, conditions, stand_rad, setting_rad) - block.output(force)
     force = force.reshape(variants, columns, 3)
     slopes = (force[:, 1:] - force[:, :1]) / _STEP_RAD
-    return Pose(force[:, 0], np.swapaxes(slopes, 1, 2), addition.reshape(variants, columns, 3)[:, 0])
+    return ExpectedPose(force[:, 0], np.swapaxes(slopes, 1, 2), addition.reshape(variants, columns, 3)[:, 0])
 
 
 @dataclass(frozen=True)
@@ -175,14 +175,14 @@ class Expectation:
         index = np.arange(COEFFICIENT_COUNT)
         self.covariance[:, index, index] += variance
 
-    def predict(self, pose: Pose) -> Floats:
+    def predict(self, pose: ExpectedPose) -> Floats:
         """Return the signals expected at a pose, V, shape (m, 3)."""
         angles = self.mean[:, COEFFICIENT_COUNT:, None]
         force = pose.force[..., None] + pose.slopes[..., :SETTING] @ angles
         return (self.scale_factors @ force)[..., 0] + self.mean[:, 9:12] + pose.addition
 
     def judge(
-        self, signal_v: Floats, pose: Pose, noise: NoiseSizes, further: Floats | None = None
+        self, signal_v: Floats, pose: ExpectedPose, noise: NoiseSizes, further: Floats | None = None
     ) -> Judgement:
         """Hold a reading (m, 3) against what is expected of it.
 

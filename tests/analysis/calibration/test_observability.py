@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration.design import make_problem
-from bench.analysis.calibration.null_space import Direction, Kind, told_axis
+from bench.analysis.calibration.null_space import Direction, DirectionKind, told_axis
 from bench.analysis.calibration.observability import columns_of, observability, with_angles
 from bench.model import AppliedEffect, Block, Conditions, Effect, ForwardModel, Installation, Parameter, Stage
 from bench.model.block import COEFFICIENTS
@@ -102,8 +102,8 @@ def test_directions_leave_no_trace_in_another_simulation():
 
 def test_a_turn_of_the_block_keeps_the_modulus_and_the_third_mounting_angle_does_not():
     found = observability(with_angles(paper(), (A1, A2, A3, A5)), BLOCK).directions
-    turns = [d for d in found if d.kind is Kind.TURN]
-    (roll,) = [d for d in found if d.kind is not Kind.TURN]
+    turns = [d for d in found if d.kind is DirectionKind.TURN]
+    (roll,) = [d for d in found if d.kind is not DirectionKind.TURN]
     step = 30 * ARCSEC
     modulus = partial(signals, modulus=True)
     for psi in (0.0, np.radians(45), np.radians(20)):
@@ -127,7 +127,7 @@ def test_a_direction_is_told_in_words():
     )
     assert set(x.others) == set(roll.others) == {"alpha5[1]", "alpha5[2]"}
     assert "only the sum" not in x.text()  # the sum is open, too
-    assert roll.kind is Kind.MIXED
+    assert roll.kind is DirectionKind.MIXED
     assert roll.text().startswith(
         "alpha5[1], alpha5[2] as (1, 1): goes into coefficients without a trace: 1 arc"
     )
@@ -140,14 +140,14 @@ def test_a_direction_is_told_in_words():
 def test_an_oblique_turn_and_signals_in_another_unit():
     """Where alpha2 and alpha3 are the same in both installations, one turn about y and z together is left."""
     (turn,) = observability(with_angles(paper(), (A2, A3)), BLOCK, common=(A2, A3)).directions
-    assert turn.kind is Kind.TURN
+    assert turn.kind is DirectionKind.TURN
     assert "about the axis 0.71 y +0.71 z" in turn.text()
     assert "counts/g in" in turn.text("counts")
 
 
 def test_unknowns_that_act_alike_and_not_at_all():
     (first, second) = observability(with_angles(paper(), (A2, "mounting_offset")), BLOCK).directions
-    assert first.kind is second.kind is Kind.ALIKE
+    assert first.kind is second.kind is DirectionKind.ALIKE
     assert first.text() == (
         "of alpha2[1] and mounting_offset[1] only the sum is shown; the readings cannot tell them apart"
     )
@@ -163,7 +163,7 @@ def test_of_free_positions_alone_the_axes_are_a_convention():
     nothing = make_problem(MODEL, Conditions.of([], []), {})
     found = observability(nothing, BLOCK, modulus=Conditions.of(labels, np.tile(angles, 4)))
     assert found.rank == 9
-    assert [d.kind for d in found.directions] == [Kind.TURN] * 3
+    assert [d.kind for d in found.directions] == [DirectionKind.TURN] * 3
     assert found.directions[0].text().startswith("a common turn of the block's axes about x: 1 arcsec is ")
 
 
@@ -173,7 +173,7 @@ def test_a_remount_by_180_deg_shows_neither_turn_nor_roll_and_a_third_installati
     third = observability(with_angles(paper(installations=("1", "2", "3")), angles), BLOCK)
     assert (half.rank, half.columns) == (20, 24)
     assert (third.rank, third.columns) == (21, 24)
-    assert {d.kind for d in third.directions} == {Kind.TURN}
+    assert {d.kind for d in third.directions} == {DirectionKind.TURN}
 
 
 def test_json_has_what_a_person_is_told():

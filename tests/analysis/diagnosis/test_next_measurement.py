@@ -14,7 +14,7 @@ from bench.analysis.diagnosis.linear import make_linear
 from bench.analysis.diagnosis.next_measurement import MENU, propose
 from bench.analysis.diagnosis.planned import following, planned_readings
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.separation import Design, Part, forms_everywhere
+from bench.analysis.diagnosis.separation import EffectPart, ReadingDesign, forms_everywhere
 from bench.cli import following as following_command
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
@@ -44,7 +44,7 @@ def design(*names):
     readings = papers_settings()
     for name in names:
         readings = following(readings, plan_of(name), MODEL, BLOCK, 50.0)
-    return Design(make_linear(readings, MODEL, STAND_U), NOISE)
+    return ReadingDesign(make_linear(readings, MODEL, STAND_U), NOISE)
 
 
 # --- planned readings -------------------------------------------------------------------------------
@@ -100,7 +100,7 @@ def test_a_further_run_stands_behind_the_readings_as_visits_of_its_own():
 
 
 def part(family, parameter, channel=None, mounts=(), **shape):
-    return Part(family, parameter, tuple(shape.items()), mounts, channel)
+    return EffectPart(family, parameter, tuple(shape.items()), mounts, channel)
 
 
 def all_channels(family, parameter):
@@ -189,7 +189,7 @@ def test_the_distance_is_that_of_generalised_least_squares():
     vector = linear.effect_column(found[0])
     asymmetry = linear.effect_column(applied(forms[0][0], 1.0))
     cubic = [linear.effect_column(applied(one, 1.0)) for one in forms[1]]
-    design_ = Design(linear, NOISE)
+    design_ = ReadingDesign(linear, NOISE)
     assert design_.divergence(found, [forms[0]]) == pytest.approx(left([asymmetry], vector), rel=1e-5)
     nearest = min(left([asymmetry], vector), left(cubic, vector))
     assert design_.divergence(found, forms) == pytest.approx(nearest, rel=1e-5)

@@ -10,7 +10,7 @@ import pytest
 
 from bench.analysis.calibration import CalibrationError, calibrate
 from bench.analysis.calibration.verification import modulus_slopes
-from bench.analysis.planning.exchange import Design, best_of, fewest, least_settings, widening
+from bench.analysis.planning.exchange import ExchangeDesign, best_of, fewest, least_settings, widening
 from bench.analysis.planning.goals import (
     Goal,
     coefficient_goals,
@@ -23,7 +23,7 @@ from bench.analysis.planning.points import Sites, Stand, best_within, cheapest, 
 from bench.analysis.planning.settings import Cost, conditions_of, fitted, settings_of, verifying
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
-from bench.model import Block, ForwardModel, Mount
+from bench.model import Block, ForwardModel, Mounting
 from bench.procedure.check import check as check_against
 from bench.procedure.load import load_procedure
 from bench.readings.table import make_readings
@@ -37,7 +37,7 @@ PAPER = fitted(settings_of(load_procedure(find_procedure("paper")).plan))
 
 
 def sites(labels="12", angles=24, visits=1):
-    mounts = [Mount(v, label) for v in range(1, visits + 1) for label in labels]
+    mounts = [Mounting(v, label) for v in range(1, visits + 1) for label in labels]
     return Sites(STAND, mounts, 2 * np.pi * np.arange(angles) / angles)
 
 
@@ -90,7 +90,7 @@ def test_the_design_has_the_covariance_of_the_estimator():
         for i, times in enumerate(counts)
         for s in [PAPER[0]] * int(times)
     ]
-    design = Design(candidates, [vector_goal(STAND.block)], counts)
+    design = ExchangeDesign(candidates, [vector_goal(STAND.block)], counts)
     np.testing.assert_allclose(design.coefficient_covariance, by_hand(settings), rtol=1e-4, atol=1e-13)
 
 
@@ -105,11 +105,11 @@ def test_moves_choose_what_a_full_calculation_would():
             if counts[i] + change >= 0:
                 moved = counts.copy()
                 moved[i] += change
-                scores[i] = goal.u(Design(candidates, [goal], moved).coefficient_covariance)
+                scores[i] = goal.u(ExchangeDesign(candidates, [goal], moved).coefficient_covariance)
         return scores
 
-    for move, change in ((Design.add_best, 1), (Design.drop_least, -1)):
-        design = Design(candidates, [goal], counts)
+    for move, change in ((ExchangeDesign.add_best, 1), (ExchangeDesign.drop_least, -1)):
+        design = ExchangeDesign(candidates, [goal], counts)
         move(design)
         chosen = goal.u(design.coefficient_covariance)
         assert chosen == pytest.approx(after(change).min(), rel=1e-9)
@@ -412,4 +412,4 @@ def test_goals_have_units_in_the_table(bench):
 def test_a_goal_is_a_variance_with_a_floor():
     goal = Goal("x", np.eye(12)[:1], 1.0, "g", floor=9.0)
     assert goal.u(16.0 * np.eye(12)) == pytest.approx(5.0)
-    assert conditions_of(PAPER).mounts == (Mount(1, "1"), Mount(1, "2"))
+    assert conditions_of(PAPER).mounts == (Mounting(1, "1"), Mounting(1, "2"))

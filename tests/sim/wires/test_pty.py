@@ -24,7 +24,7 @@ from drivers.wire.visa import MessageSession
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench, SimulatedMeter
 from sim.wires.pty import TERMINALS, TerminalServer
-from sim.wires.session import Instrument
+from sim.wires.session import ServedInstrument
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 
@@ -183,7 +183,7 @@ def test_pyvisa_py_with_a_serial_meters_settings() -> None:
 def test_no_descriptor_is_left_over_and_it_starts_again() -> None:
     dialect = Agilent34401A(a_world().terminals("x"), VirtualClock())
     before = open_descriptors()
-    server = TerminalServer(Instrument(dialect))
+    server = TerminalServer(ServedInstrument(dialect))
     for _ in range(3):
         with server, Client(server.path) as client:
             assert client.ask(b"*IDN?\n") == IDENTITY + b"\r\n"
