@@ -212,7 +212,7 @@ class Watch:
 def watched(faults: Sequence[Fault]) -> Iterator[Watch]:
     """Within the context, a dry run has these faults."""
     watch = Watch(faults)
-    with mock.patch.object(bench.compose, "SimulatedBench", watch):
+    with mock.patch.object(bench.assembly.served, "SimulatedBench", watch):
         yield watch
 
 
