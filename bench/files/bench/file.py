@@ -88,14 +88,19 @@ class BenchFile(FileModel):
     @property
     def nplc_supported(self) -> tuple[float, ...]:
         """Integration times that every voltmeter of the bench has, in power-line cycles, rising."""
-        kinds = [VOLTMETERS[meter.driver].nplc for meter in self.instruments.voltmeters]
+        kinds = [VOLTMETERS[meter.driver].limits.nplc for meter in self.instruments.voltmeters]
         return tuple(sorted(set(kinds[0]).intersection(*kinds)))
 
     @property
     def most_samples(self) -> int:
         """Samples that one reading may have: a multiplexer keeps those of all its channels."""
         meters = self.instruments.voltmeters
-        return min(VOLTMETERS[meter.driver].memory_readings // len(meter.channels) for meter in meters)
+        return min(VOLTMETERS[m.driver].limits.of_channels(len(m.channels)).most_samples for m in meters)
+
+    @property
+    def least_samples(self) -> int:
+        """Samples that one reading must have, so that every voltmeter takes it."""
+        return max(VOLTMETERS[meter.driver].limits.least_samples for meter in self.instruments.voltmeters)
 
     @property
     def head_limits_rad(self) -> tuple[float, float] | None:
