@@ -9,26 +9,10 @@ import pytest
 from bench.analysis.budget import make_budget
 from bench.analysis.calibration import ESTIMATORS, calibrate
 from bench.analysis.calibration.estimators import GLS, Estimator, find_estimator
-from bench.cli.app import main
 from bench.readings.csv import write_csv
 from tests.support.budget_bench import paper_setup, stand
 from tests.support.honest_runs import MODEL
 from tests.support.paper_bench import STAND_U, simulate
-
-
-@pytest.fixture
-def bench(capsys, tmp_path, monkeypatch):
-    """Run a command in an empty folder; return (exit status, standard output, standard error)."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as exit_:
-            main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return exit_.value.code, out, err
-
-    return call
 
 
 def half_of(task):

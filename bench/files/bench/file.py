@@ -10,7 +10,15 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from bench.base.form_mistakes import Place
-from bench.base.forms import FileMistakes, FileModel, load_validated, part, sha256_of_file
+from bench.base.forms import (
+    FileMistakes,
+    FileModel,
+    load_document,
+    load_validated,
+    part,
+    sha256_of_file,
+    validated,
+)
 from bench.base.units import FrequencyHz
 from bench.devices.heads import MotorisedHeadForm
 from bench.devices.voltmeters import VOLTMETERS
@@ -31,7 +39,7 @@ from bench.model import STAND_ANGLES, AppliedEffect, Block, Distribution, Instal
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.model.gravity import normal_gravity_m_s2
 
-__all__ = ["BenchFile", "FileMistakes", "load_bench", "sha256_of_file"]
+__all__ = ["BenchFile", "FileMistakes", "load_bench", "load_recorded_bench", "sha256_of_file"]
 
 STAND_ERRORS: Final = (*STAND_ANGLES, "setting_error", "voltmeter_error")
 """Names of all stand errors."""
@@ -158,3 +166,15 @@ class BenchFile(FileModel):
 def load_bench(path: Path) -> BenchFile:
     """Read a bench file. Raises `FileMistakes` with every mistake in it."""
     return load_validated(path, BenchFile)
+
+
+def load_recorded_bench(path: Path) -> BenchFile:
+    """Read the bench file of a run to evaluate it, without the effects that the simulation had.
+
+    No evaluation knows of them, and a run may have had some that the catalogue no longer has. Raises
+    `FileMistakes` with every mistake in all else.
+    """
+    document = load_document(path)
+    if isinstance(document.data, dict):
+        document.data.pop("effects", None)
+    return validated(document, BenchFile)
