@@ -15,6 +15,8 @@ from rich.table import Table
 from bench.assembly.served import real_bench
 from bench.cli import CommandError, printing
 from bench.cli.source import bench_path, write_json
+from bench.devices.chambers import ChamberForm
+from bench.devices.heads import HeadForm
 from bench.files.bench.file import BenchFile, load_bench
 from bench.run.workbench import QUICK_NPLC
 from drivers.angles import format_dms
@@ -140,15 +142,13 @@ def look(bench: str | None, target: str | None, wire_log: Path | None) -> int:
 
 def _row(file: BenchFile, instrument: Instrument) -> _Row:
     """Return the row of an instrument with what the bench file says of it."""
-    sections = file.instruments
-    known = [*sections.voltmeters, sections.head, *([sections.chamber] if sections.chamber else [])]
-    section = next(section for section in known if section.name == instrument.name)
+    section = next(section for section in file.instruments.all() if section.name == instrument.name)
     address = getattr(section, "resource", None)
     settings = ""
-    if section is sections.head:
-        settings = f"within {format_dms(sections.head.tolerance)}"
-    elif sections.chamber is not None and section is sections.chamber:
-        settings = f"{sections.chamber.minimum:g} to {sections.chamber.maximum:g} °C"
+    if isinstance(section, HeadForm):
+        settings = f"within {format_dms(section.tolerance)}"
+    elif isinstance(section, ChamberForm):
+        settings = f"{section.minimum:g} to {section.maximum:g} °C"
     where = "by hand" if address is None else str(address)
     return _Row(instrument.name, where, settings, samples=file.least_samples)
 
