@@ -13,7 +13,7 @@ from bench.cli import CommandError, printing
 from bench.cli.carrying_out import carry_out, conclude
 from bench.cli.provenance import versions
 from bench.cli.source import bench_path, check_target
-from bench.files.bench.file import load_bench
+from bench.files.bench.file import foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.procedure.load import Procedure, check, load_procedure
@@ -92,6 +92,8 @@ def run(request: Request) -> int:
         },
         "versions": versions(),
     }
+    if foreign := foreign_drivers(bench):
+        manifest["devices"] = foreign
     with logged_wire(request.wire_log) as wire, Interrupts() as interrupts:
         record = Record.create(request.runs / name, manifest, inputs, utc_now, interrupts.shield)
         carry_out(Run(request.runs / name), record, None, wire, request.json)
@@ -121,6 +123,7 @@ def resume(name: str | None, runs: Path, wire_log: Path | None = None, target: s
     """Carry out `bench resume`."""
     check_target(target)
     found = _unfinished(name, runs)
+    _refuse_missing_devices(found)
     _accept_changes(found, target)
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
@@ -128,6 +131,20 @@ def resume(name: str | None, runs: Path, wire_log: Path | None = None, target: s
             print("note: the last line of the record was half written and is dropped", file=sys.stderr)
         carry_out(found, record, history, wire, target)
     return conclude(Run(found.folder), target)
+
+
+def _refuse_missing_devices(run: Run) -> None:
+    """Raise `CommandError` where a driver that the run was begun with is not here."""
+    came_from = run.manifest.get("devices", {})
+    missing = [
+        f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")
+        for name in missing_drivers(run.folder / BENCH)
+    ]
+    if missing:
+        raise CommandError(
+            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is in "
+            "with --devices or BENCH_DEVICES, or install its distribution"
+        )
 
 
 def _accept_changes(run: Run, target: str | None) -> None:

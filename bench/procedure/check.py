@@ -43,6 +43,8 @@ def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    if not bench.knows_its_meters:
+        return
     nplc: dict[float, str] = {}
     samples: dict[int, str] = {}
     for step in plan.steps:

@@ -22,6 +22,7 @@ from bench.base.forms import (
 from bench.base.units import FrequencyHz
 from bench.devices.heads import MotorisedHeadForm
 from bench.devices.registry import devices, unknown_drivers
+from bench.devices.unknown import UnknownVoltmeter
 from bench.files.bench.crosschecks import mistakes_between_parts
 from bench.files.bench.instruments import InstrumentsSection, RecordedInstruments
 from bench.files.bench.simulation import SimulationSection
@@ -92,6 +93,11 @@ class BenchFile(FileModel):
     def verification_limit_g(self) -> float:
         """Delta g_A, in local g."""
         return self.verification.limit
+
+    @property
+    def knows_its_meters(self) -> bool:
+        """Whether what its voltmeters can do is known here: of a recorded run's it need not be."""
+        return not any(isinstance(meter, UnknownVoltmeter) for meter in self.instruments.voltmeters)
 
     @property
     def nplc_supported(self) -> tuple[float, ...]:
