@@ -142,8 +142,8 @@ def _refuse_missing_devices(run: Run) -> None:
     ]
     if missing:
         raise CommandError(
-            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is in "
-            "with --devices or BENCH_DEVICES, or install its distribution"
+            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is "
+            "in with --devices or BENCH_DEVICES, or install its distribution"
         )
 
 

@@ -26,6 +26,8 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 
 from bench.devices.device import Device, DeviceSection, Role
 from bench.devices.unknown import OF_ROLE
+from bench.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm
+from bench.devices.wires import WIRE_FACTS, WiredForm
 
 GROUP: Final = "triaxial_bench.devices"
 FOLDERS: Final = "BENCH_DEVICES"
@@ -175,6 +177,11 @@ def _wrong_declaration(device: Device) -> str | None:
     stated = get_args(section.model_fields["driver"].annotation)
     if stated != (device.name,):
         return f"the section of '{device.name}' does not have driver: Literal['{device.name}']"
+    if issubclass(section, WiredForm):
+        needed = WIRE_FACTS + (VOLTMETER_FACTS if issubclass(section, VoltmeterForm) else ())
+        lacking = [name for name in needed if not hasattr(getattr(section, "facts", None), name)]
+        if lacking:
+            return f"the facts of '{device.name}' lack {', '.join(lacking)}"
     return None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
@@ -14,6 +14,11 @@ from bench.base.units import DurationS, VoltageV
 from bench.devices.device import Role
 from bench.devices.wires import BusPlace, WiredForm, bus_place, meter_resource, usual_baud_rate
 from drivers.interfaces import Channel, VoltmeterLimits
+
+VOLTMETER_FACTS: Final = (
+    "RANGES_V", "OVER_RANGE", "NPLC", "MEMORY_READINGS", "LEAST_SAMPLES", "ACCURACY_90_DAYS", "LINEARITY",
+)  # fmt: skip
+"""What the facts of a voltmeter must say (see those of a 34401A); with a serial port `BAUD_RATES`, too."""
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,10 @@ class Port:
     serial: Mapping[str, Any] | None = None
 
 
+WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
+"""What the facts of an instrument with a wire must say; with a serial port `SERIAL`, too."""
+
+
 class WiredForm(DeviceSection):
     """An instrument with a wire: where it is, how long to wait for a reply. Its `facts` say how it speaks."""
 

@@ -182,7 +182,7 @@ class Converter:
         if self._generator is None:
             return value_v
         nplc = configuration.nplc
-        sigma_v = math.hypot(_NOISE_OF_RANGE[nplc] * range_v, _NOISE_OF_INPUT_V / math.sqrt(nplc))
+        sigma_v = math.hypot(_noise_of_range(nplc) * range_v, _NOISE_OF_INPUT_V / math.sqrt(nplc))
         step_v = self.step(configuration)
         return round((value_v + sigma_v * float(self._generator.standard_normal())) / step_v) * step_v
 
@@ -217,6 +217,16 @@ class Converter:
         while index > 0 and abs(signal_v) < self._facts.UNDER_RANGE * ranges[index]:
             index -= 1
         return ranges[index]
+
+
+def _noise_of_range(nplc: float) -> float:
+    """Return the noise as a fraction of the range; between the integration times of the table by its slope."""
+    if nplc in _NOISE_OF_RANGE:
+        return _NOISE_OF_RANGE[nplc]
+    points = sorted((math.log(n), math.log(noise)) for n, noise in _NOISE_OF_RANGE.items())
+    upper = next((i for i, (x, _) in enumerate(points) if x > math.log(nplc)), len(points) - 1)
+    (x0, y0), (x1, y1) = points[max(0, upper - 1)], points[max(1, upper)]
+    return math.exp(y0 + (y1 - y0) * (math.log(nplc) - x0) / (x1 - x0))
 
 
 def reading_text(value: float, step: float) -> str:
