@@ -12,10 +12,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
+from bench.base.arrays import ARCSEC
 from benchmarks.blind_trial.cases import Row, make_case, seal
 from benchmarks.blind_trial.designs import DESIGNS, Weather, head_path, make_run
 from benchmarks.blind_trial.effects import BLOCK, CATALOGUE, CLASS_OF, HIDDEN
-from benchmarks.blind_trial.geometry import ARCSEC, specific_force
+from benchmarks.blind_trial.geometry import specific_force
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.run import FULL, SHORT, main
 from benchmarks.blind_trial.score import Share, judge
