@@ -13,6 +13,7 @@ from rich.console import Console
 from bench.analysis.calibration import Calibration, CalibrationError, Verification, implausible
 from bench.analysis.calibration import calibrate as estimate
 from bench.analysis.calibration import verify as check
+from bench.analysis.calibration.estimators import CLOSED_FORM, GLS
 from bench.analysis.calibration.verification import SIMPLE, rule_name
 from bench.analysis.temperature.plateaus import separate_temperatures
 from bench.cli import CommandError, printing
@@ -38,7 +39,7 @@ SEVERAL_TEMPERATURES = 3
 class Fitting:
     """How a calibration is to be made, by the options of `bench calibrate`."""
 
-    estimator: str = "gls"
+    estimator: str = GLS
     nominal_angles: bool = False
     join_free: bool = True
     join_verification: bool = False
@@ -202,6 +203,6 @@ def write_report(source: Source, calibration: Calibration, out: Console | None =
 def _closed_form(source: Source) -> Calibration | None:
     """The paper's estimator beside ours, where the readings are such that it applies."""
     try:
-        return calibration_of(source, Fitting("closed-form"))
+        return calibration_of(source, Fitting(CLOSED_FORM))
     except CalibrationError:
         return None

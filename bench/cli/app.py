@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from bench.cli.options import (
+    ESTIMATORS_TOLD,
     RUNS,
     BenchOption,
     GravityOption,
@@ -25,6 +26,7 @@ from bench.cli.options import (
     SkipOption,
     Sources,
     WireLogOption,
+    WithEstimators,
     app,
 )
 
@@ -169,15 +171,15 @@ def import_(
     return records.import_file(file, name, bench, runs)
 
 
-@app.command(epilog="Example: bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json")
+@app.command(
+    cls=WithEstimators,
+    epilog="Example: bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json",
+)
 def calibrate(
     sources: Sources,
     estimator: Annotated[
         str,
-        typer.Option(
-            help="gls (all readings, weighed), robust (gls without the weight of outliers), least-squares "
-            "(all readings alike), or closed-form (the paper's (7)-(8))."
-        ),
+        typer.Option(help=ESTIMATORS_TOLD),
     ] = "gls",
     nominal_angles: Annotated[
         bool, typer.Option("--nominal-angles", help="Target angles in place of those read back.")

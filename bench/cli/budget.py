@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.analysis.budget.assessment import Assessment, Question, assess
-from bench.analysis.budget.estimators import estimator_name
 from bench.analysis.budget.monte_carlo import require_trials
 from bench.analysis.budget.propagation import COVERAGE
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import bench_sources
+from bench.analysis.calibration.estimators import in_a_budget
 from bench.analysis.calibration.mistakes import refuse_singular
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import rule_name
@@ -48,7 +48,7 @@ def budget(request: Request) -> int:
     """Carry out `bench budget`; 1 when a rule was asked for and the check cannot be passed by it."""
     check_target(request.json)
     check_gravity(request.g_m_s2)
-    estimator, rule = estimator_name(request.estimator), rule_name(request.rule or "simple")
+    estimator, rule = in_a_budget(request.estimator).name, rule_name(request.rule or "simple")
     if request.trials:
         _check_trials(request.trials)
     bench = _bench(request)

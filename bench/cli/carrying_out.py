@@ -67,6 +67,7 @@ def carry_out(
                     bench.unit_under_test.temperature.minimum,
                     bench.unit_under_test.temperature.maximum,
                 ),
+                least_samples=bench.least_samples,
                 on_settling=bar.settling,
             ).run(resume)
     except RunAborted as why:

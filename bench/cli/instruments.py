@@ -62,7 +62,10 @@ class _Nobody:
 
 @dataclass
 class _Row:
-    """What is known of one instrument; `failure` is the first thing that went wrong with it."""
+    """What is known of one instrument; `failure` is the first thing that went wrong with it.
+
+    `samples` is how many a voltmeter is asked for.
+    """
 
     name: str
     address: str
@@ -72,6 +75,7 @@ class _Row:
     shows: str = ""
     value: dict[str, float] | float | None = None
     failure: BenchError | None = None
+    samples: int = 1
 
     @property
     def failures(self) -> list[BenchError]:
@@ -145,7 +149,8 @@ def _row(file: BenchFile, instrument: Instrument) -> _Row:
         settings = f"within {format_dms(sections.head.tolerance)}"
     elif sections.chamber is not None and section is sections.chamber:
         settings = f"{sections.chamber.minimum:g} to {sections.chamber.maximum:g} °C"
-    return _Row(instrument.name, "by hand" if address is None else str(address), settings)
+    where = "by hand" if address is None else str(address)
+    return _Row(instrument.name, where, settings, samples=file.least_samples)
 
 
 # --- looking ----------------------------------------------------------------------------------------
@@ -199,7 +204,7 @@ def _look_at(instrument: Instrument, row: _Row, range_v: float) -> None:
 def _read(instrument: Instrument, row: _Row, range_v: float) -> None:
     """Take one reading of a voltmeter, the position of a head, the temperature of a chamber."""
     if isinstance(instrument, Voltmeter):
-        instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, 1))
+        instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, row.samples))
         row.settings = f"{range_v:g} V, {QUICK_NPLC:g} NPLC"
         instrument.start()
         row.value = {channel: samples[0] for channel, samples in instrument.fetch().items()}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Final
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
 app = typer.Typer(
     name="bench",
@@ -16,6 +17,24 @@ app = typer.Typer(
     help="Calibrates triaxial accelerometer blocks on a dividing head.",
     epilog="Exit status: 0 done and accepted, 1 done and not accepted, 2 could not be done.",
 )
+
+ESTIMATORS_TOLD: Final = "The estimators."
+ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
+"""Help texts that `WithEstimators` replaces by the names there are."""
+
+
+class WithEstimators(TyperCommand):
+    """A command whose help names the estimators; they are looked up where it is shown, as that takes a second."""
+
+    def get_help(self, ctx: Any) -> str:
+        """Return the help."""
+        from bench.analysis.calibration.estimators import told_estimators
+
+        for option in self.params:
+            if isinstance(option, TyperOption) and option.help in {ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET}:
+                option.help = told_estimators(budget=option.help == ESTIMATORS_IN_A_BUDGET)
+        return super().get_help(ctx)
+
 
 BenchOption = Annotated[
     str | None,

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.analysis.calibration import Calibration, Noise, Verification
-from bench.analysis.calibration.calibrate import ROBUST
+from bench.analysis.calibration.estimators import find_estimator
 from bench.analysis.calibration.verification import COVERAGE_FACTOR, GUARDED
 from bench.base.numbers import fixed, places, scale_for
 from bench.cli.source import Source
@@ -65,7 +65,7 @@ def calibration(
         out.print("lack of fit: too few repeats to tell")
     for name, value in result.effects.items():
         out.print(f"effect {name} = {value.value:.4g} ± {value.u:.2g} {value.unit}")
-    if result.estimator == ROBUST and not result.outliers:
+    if find_estimator(result.estimator).drops_outliers and not result.outliers:
         out.print("outliers: none found")
     for outlier in result.outliers:
         out.print(f"outlier: {outlier.text()}; it has no weight")

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from bench.analysis.budget import ErrorSource, Setup, bench_sources, make_setup
-from bench.analysis.budget.estimators import ESTIMATORS, estimator_name
+from bench.analysis.calibration.estimators import ESTIMATORS, in_a_budget
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.planning.requirements import (
     Limit,
@@ -49,7 +49,7 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 def require(request: Request) -> int:
     """Carry out `bench require`; 1 when the bench as its file states it does not keep to the accuracy."""
     check_target(request.json)
-    estimator = estimator_name(request.estimator)
+    estimator = in_a_budget(request.estimator).name
     bench = load_bench(bench_path(request.bench))
     plan = load_procedure(find_procedure(request.procedure)).expand()
     setup = make_setup(plan, bench)
@@ -149,7 +149,8 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
     shares = asked.shares()
     dominant = next(s for s in asked.sources if s.name == max(shares, key=shares.__getitem__))
     for estimator in ESTIMATORS:
-        yield from _alternative(replace(asked, estimator=estimator), dominant, plan, bench)
+        if in_a_budget(estimator).name == estimator:
+            yield from _alternative(replace(asked, estimator=estimator), dominant, plan, bench)
     for name in PROCEDURES:
         if name == plan.name:
             continue

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.cli import CommandError
-from bench.files.bench.file import BenchFile, load_bench
+from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
 from bench.files.model import ModelFile, load_model
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
@@ -122,7 +122,7 @@ def _load(name: str, request: Request) -> Source:
     path = run.folder / BENCH if run is not None and recorded else bench_path(request.bench)
     if run is not None and request.bench is not None:
         notes = (f"evaluated with {path} in place of the bench file that the run recorded",)
-    bench = load_bench(path)
+    bench = load_recorded_bench(path) if recorded else load_bench(path)
     installations = bench.installation_models()
     if run is None:
         readings = read_csv(Path(name), installations, skip_bad_rows=request.skip_bad_rows)

@@ -29,7 +29,7 @@ from bench.analysis.stability.noise_terms import MISFIT_P
 from bench.base.numbers import MINUS, probability, quantity
 from bench.cli import CommandError, printing
 from bench.cli.source import bench_path, check_target, to_text, write_beside, write_json
-from bench.files.bench.file import BenchFile, load_bench
+from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
 from bench.procedure.plan import Read
 from bench.run.folder import BENCH, find_run
 
@@ -67,7 +67,7 @@ def stability(request: Request, target: str | None) -> int:
     check_target(target)
     if request.size is not None and not (np.isfinite(request.size) and request.size > 0):
         raise CommandError(f"--size {request.size}: a size is a positive number in the unit of the signals")
-    bench = load_bench(_bench_of(request))
+    bench = _bench_of(request)
     record, told_s = _record(request, bench)
     integration_s = request.integration_s or told_s or record.interval_s
     if not 0 < integration_s <= record.interval_s:
@@ -85,12 +85,12 @@ def stability(request: Request, target: str | None) -> int:
     return 0 if all(average.reached for average in found.averages) else 1
 
 
-def _bench_of(request: Request) -> Path:
+def _bench_of(request: Request) -> BenchFile:
     """Return the bench file asked for, else that of the run, else the usual one."""
     own = request.runs / request.record / BENCH
     if request.bench is None and not Path(request.record).is_file() and own.is_file():
-        return own
-    return bench_path(request.bench)
+        return load_recorded_bench(own)
+    return load_bench(bench_path(request.bench))
 
 
 def _record(request: Request, bench: BenchFile) -> tuple[StaticRecord, float | None]:

@@ -7,17 +7,22 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.options import BenchOption, GravityOption, JsonOption, ModelOption, OutOption, RuleOption, app
+from bench.cli.options import (
+    ESTIMATORS_IN_A_BUDGET,
+    BenchOption,
+    GravityOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    RuleOption,
+    WithEstimators,
+    app,
+)
 
 ProcedureOption = Annotated[
     str, typer.Option("--procedure", metavar="FILE", help="Procedure, by path or shipped name.")
 ]
-EstimatorOption = Annotated[
-    str,
-    typer.Option(
-        help="gls (all readings), closed-form (the paper's (7)-(8)), or least-squares (ols); robust counts as gls."
-    ),
-]
+EstimatorOption = Annotated[str, typer.Option(help=ESTIMATORS_IN_A_BUDGET)]
 CoefficientsOption = Annotated[
     Path | None,
     typer.Option(
@@ -26,7 +31,10 @@ CoefficientsOption = Annotated[
 ]
 
 
-@app.command(epilog="Example: bench budget --bench my-bench.yaml --procedure paper --estimator closed-form")
+@app.command(
+    cls=WithEstimators,
+    epilog="Example: bench budget --bench my-bench.yaml --procedure paper --estimator closed-form",
+)
 def budget(
     bench: BenchOption = None,
     procedure: ProcedureOption = "calibration",
@@ -72,7 +80,10 @@ def budget(
     )
 
 
-@app.command(epilog="Example: bench require --accuracy 3e-4 --estimator closed-form --procedure paper")
+@app.command(
+    cls=WithEstimators,
+    epilog="Example: bench require --accuracy 3e-4 --estimator closed-form --procedure paper",
+)
 def require(
     accuracy: Annotated[str, typer.Option(help="What k u must keep to: g (of a coefficient V/g or V).")],
     of: Annotated[

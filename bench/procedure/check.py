@@ -56,6 +56,8 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for count, key in samples.items():
         if count > bench.most_samples:
             yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
+        elif count < bench.least_samples:
+            yield f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter takes"
 
 
 def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:

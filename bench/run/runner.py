@@ -51,7 +51,7 @@ class Runner:
 
     `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
     resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
-    person's, not the bench's.
+    person's, not the bench's. `least_samples` is how few samples every voltmeter takes.
     """
 
     plan: Plan
@@ -67,6 +67,7 @@ class Runner:
     patience: Clock = field(default_factory=SystemClock)
     watch: Watch = lambda reading: []
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
+    least_samples: int = 1
     on_settling: Callable[[Settling], None] = lambda state: None
     state: RunState = RunState.READY
     _zero_s: float = 0.0
@@ -81,6 +82,7 @@ class Runner:
             self._hear,
             on_settling=self.on_settling,
             block_limits_c=self.block_limits_c,
+            least_samples=self.least_samples,
         )
 
     def run(self, resume: ResumePoint | None = None) -> None:

@@ -88,6 +88,7 @@ class Workbench:
 
     `visits` gives the series that readings of a (series, installation) are recorded with, where the block
     was mounted again in the middle of it; `block_limits_c` are the temperatures that the block may have;
+    `least_samples` is how few samples every voltmeter takes, by which signals are seen to settle;
     `temperature_c` is the temperature last read or told.
     """
 
@@ -99,6 +100,7 @@ class Workbench:
     between_naps: Callable[[], None] = lambda: None
     on_settling: Callable[[Settling], None] = lambda state: None
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
+    least_samples: int = 1
     visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
     _reference_v: float | None = field(default=None, init=False)
     _position: HeadPosition | None = field(default=None, init=False)
@@ -189,7 +191,7 @@ class Workbench:
         """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""
         criterion = Criterion(step.precision, step.window_s, step.timeout_s, step.interval_s)
         if step.what == "signals":
-            self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, 1))
+            self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, self.least_samples))
             state = wait_until_settled(self._signals, criterion, self.clock, self._nap)
         else:
             chamber = self._chamber(f"{step.key}: the procedure waits for a temperature")

@@ -20,6 +20,7 @@ from bench.analysis.budget.propagation import (
 )
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import ErrorSource, influences, sizes_by_name
+from bench.analysis.calibration.estimators import GLS
 from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
 
@@ -121,11 +122,11 @@ class Budget:
 def make_budget(
     setup: Setup,
     sources: Sequence[ErrorSource],
-    estimator: str = "gls",
+    estimator: str = GLS,
     stated: Mapping[str, float] | None = None,
     probability: float = COVERAGE,
 ) -> Budget:
-    """Return the budget of an estimator. `estimator` is gls, closed-form or ols.
+    """Return the budget of an estimator, one of `bench.analysis.calibration.estimators` by name.
 
     `stated` are the sizes that the estimator believes (see `estimators.gain`); left out, those of
     the sources. Raises `CalibrationError` when the readings do not determine the coefficients.

@@ -12,23 +12,16 @@ from numpy.typing import NDArray
 
 from bench.analysis.calibration import gls, mistakes, outliers
 from bench.analysis.calibration.assumptions import assumptions, require_rank
-from bench.analysis.calibration.closed_form import NOMINAL_RAD, closed_form_gain
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
+from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, Estimator, Task, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
-from bench.analysis.calibration.linear import least_squares_gain, linear_estimate
+from bench.analysis.calibration.linear import linear_estimate
 from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
 from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.readings.table import FREE, VERIFICATION, Readings
 
-GLS: Final = "gls"
-CLOSED_FORM: Final = "closed-form"
-LEAST_SQUARES: Final = "least-squares"
-ROBUST: Final = "robust"
-ESTIMATORS: Final = (GLS, CLOSED_FORM, LEAST_SQUARES, ROBUST)
-WEIGH_ALL: Final = frozenset({GLS, ROBUST})
-"""Estimators that can take readings whose modulus alone is known."""
 ROUNDING: Final = 1e-9
 """Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
 
@@ -65,31 +58,27 @@ def calibrate(
     upper triangular by convention. Raises `CalibrationError` when the readings do not determine the
     coefficients, or hold a mistake.
     """
-    if estimator not in ESTIMATORS:
-        raise CalibrationError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATORS)}")
-    chosen = _choose(readings, model, estimator, join_free=join_free, join_verification=join_verification)
+    by = find_estimator(estimator)
+    chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
     rows = chosen.oriented
     if nominal_angles:
         rows = mistakes.at_nominal_angles(rows)
     conditions = rows.conditions()
-    if estimator == CLOSED_FORM:
-        gain = closed_form_gain(rows)
-        conditions = replace(conditions, angle_rad=NOMINAL_RAD[rows.point - 1])
+    if by.angles_rad is not None:
+        conditions = replace(conditions, angle_rad=by.angles_rad(rows))
     problem = make_problem(model, conditions, stand_u, _free_rows(chosen, readings))
     resolution = (rows if len(rows) else chosen.free).resolution
     start = first_guess(problem, rows.signal, resolution)
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
-    fit, found, notes = _fitted(problem, refit, estimator, chosen)
+    fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
     fit_test = gls.lack_of_fit(problem, fit)
-    weighing = estimator in WEIGH_ALL
-    if not weighing:
-        gain = gain if estimator == CLOSED_FORM else least_squares_gain(problem)
-        fit = linear_estimate(problem, rows.signal, fit, gain)
+    if by.gain is not None:
+        fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows))
     covariance = fit.covariance[:FIXED, :FIXED]
     mistakes.refuse_singular(fit.block, np.sqrt(np.diag(covariance)))
     rms = float(np.sqrt(np.mean(fit.residuals**2))) if len(rows) else float("nan")
     return Calibration(
-        estimator=estimator,
+        estimator=by.name,
         unit=readings.unit,
         g_m_s2=g_m_s2,
         block=fit.block,
@@ -100,15 +89,15 @@ def calibrate(
         residuals=fit.residuals,
         skipped=len(readings.skipped),
         model=model.name,
-        stand=_stand(problem, fit) if weighing else {},
-        effects=_effects(problem, fit) if weighing else {},
+        stand=_stand(problem, fit) if by.weighs_all else {},
+        effects=_effects(problem, fit) if by.weighs_all else {},
         assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
         free=chosen.free if len(chosen.free) else None,
         modulus_error=fit.modulus,
-        outliers=found if estimator == ROBUST else (),
-        notes=(*_notes_on_rows(readings, chosen, estimator, join_free=join_free), *notes),
+        outliers=found,
+        notes=(*_notes_on_rows(readings, chosen, by.name, join_free=join_free), *notes),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
-        angles="nominal" if nominal_angles or estimator == CLOSED_FORM else "read back",
+        angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
     )
 
 
@@ -116,15 +105,16 @@ def calibrate(
 
 
 def _choose(
-    readings: Readings, model: ForwardModel, estimator: str, *, join_free: bool, join_verification: bool
+    readings: Readings, model: ForwardModel, by: Estimator, *, join_free: bool, join_verification: bool
 ) -> Chosen:
-    if join_verification and estimator not in WEIGH_ALL:
+    if join_verification and not by.weighs_all:
+        able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
         raise CalibrationError(
-            f"the estimator {estimator} takes oriented readings alone; use gls or robust where verification "
+            f"the estimator {by.name} takes oriented readings alone; use {able} where verification "
             "points are to join"
         )
     labels = [FREE] * join_free + [VERIFICATION] * join_verification
-    joins = np.isin(readings.installation, labels) & (estimator in WEIGH_ALL)
+    joins = np.isin(readings.installation, labels) & by.weighs_all
     free = readings.select(joins)
     mistakes.require_numbers(free, angles=False)
     alone = bool(np.any(readings.installation[joins] == FREE)) and not len(readings.oriented())
@@ -202,25 +192,28 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 
 
 def _fitted(
-    problem: Problem, refit: partial[gls.Fit], estimator: str, chosen: Chosen
+    problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: Chosen
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Fit, look for outliers, and keep what the estimator asks for: robust takes their weight away."""
+    """Fit, weigh as the estimator does, and look for outliers where it does not take their weight away."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:
         return fit, (), ()
-    robust = estimator == ROBUST
+    task = Task(problem, signal, fit, lambda shifts: refit(shifts=shifts))
+    fit = by.weigh(task)
+    if by.drops_outliers:
+        return fit, _told(fit, chosen), ()
     # a note on one is enough, but free positions alone have too few rows to show one beside another
-    most = outliers.most_outliers(problem) if robust or problem.upper else 1
-    without = outliers.search(problem, fit, lambda shifts: refit(shifts=shifts), most)
-    found = outliers.told(without, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
-    if robust:
-        return without, found, ()
+    most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
-        f"an outlier is evident: {outlier.text()}; the estimator 'robust' takes its weight away"
-        for outlier in found
+        f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
+        for outlier in _told(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
+
+
+def _told(fit: gls.Fit, chosen: Chosen) -> tuple[Outlier, ...]:
+    return outliers.told(fit, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
 
 
 def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:

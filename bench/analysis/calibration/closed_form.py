@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Ints
 from bench.readings.table import Readings
 
 POINTS = 9
@@ -60,6 +60,23 @@ def closed_form_gain(readings: Readings) -> Floats:
     Raises `CalibrationError` when a test point of the paper's two installations is missing, or an angle is
     not the nominal one, which these formulas take for granted.
     """
+    cell, count = _cells(readings)
+    unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)
+    by_signal = np.stack([closed_form(e) for e in unit], axis=1).reshape(12, 2, 3, POINTS)
+    by_cell = np.moveaxis(by_signal, 2, 3).reshape(12, 2 * POINTS, 3)
+    gain: Floats = by_cell[:, cell, :] / count[cell][None, :, None]
+    return gain
+
+
+def nominal_angles_rad(readings: Readings) -> Floats:
+    """Return the angles (n,) that the closed form takes for granted. Raises as `closed_form_gain` does."""
+    _cells(readings)
+    angles: Floats = NOMINAL_RAD[readings.point - 1]
+    return angles
+
+
+def _cells(readings: Readings) -> tuple[Ints, Ints]:
+    """Return the test point of each reading, shape (n,), and how many readings each has, shape (18,)."""
     cell = np.full(len(readings), -1)
     for m, label in enumerate(("1", "2")):
         own = readings.installation == label
@@ -88,8 +105,4 @@ def closed_form_gain(readings: Readings) -> Floats:
             f"{np.degrees(NOMINAL_RAD[readings.point[worst] - 1]):g}°, but the head stood at "
             f"{np.degrees(readings.angle_rad[worst]):.4f}°; use the default estimator"
         )
-    unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)
-    by_signal = np.stack([closed_form(e) for e in unit], axis=1).reshape(12, 2, 3, POINTS)
-    by_cell = np.moveaxis(by_signal, 2, 3).reshape(12, 2 * POINTS, 3)
-    gain: Floats = by_cell[:, cell, :] / count[cell][None, :, None]
-    return gain
+    return cell, count

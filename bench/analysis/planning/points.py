@@ -13,6 +13,7 @@ import numpy as np
 from bench.analysis.budget import Setup, make_budget
 from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.design import FIXED, make_problem
+from bench.analysis.calibration.estimators import GLS
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
 from bench.analysis.calibration.result import CalibrationError, Noise
 from bench.analysis.planning.exchange import (
@@ -67,7 +68,7 @@ class Stand:
         fresh = {name: wider * u for name, u in self.sizes.items() if name not in STAND_ANGLES}
         sizes = {**self.sizes, **fresh}
         sources = [stand_source(name, Distribution(u)) for name, u in sizes.items() if u > 0]
-        return make_budget(setup, sources, "gls").combined.covariance
+        return make_budget(setup, sources, GLS).combined.covariance
 
     def _freedom(self, conditions: Conditions) -> int:
         """Degrees of freedom with which the noise will be told: by repeats where there are enough of them."""

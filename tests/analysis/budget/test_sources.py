@@ -65,7 +65,9 @@ def test_the_shipped_bench():
 def test_the_meters_limits_are_those_of_the_simulated_meter():
     """Both halves of the program state them on their own; they must not come apart."""
     for kind in VOLTMETERS.values():
-        assert {r: kind.accuracy[r] for r in kind.ranges_v} == {r: _SPEC_90_DAYS[r] for r in kind.ranges_v}
+        assert {r: kind.accuracy[r] for r in kind.limits.ranges_v} == {
+            r: _SPEC_90_DAYS[r] for r in kind.limits.ranges_v
+        }
 
 
 def test_the_section_uncertainty_is_used(tmp_path):
