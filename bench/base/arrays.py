@@ -1,4 +1,4 @@
-"""Words for arrays and for the axes, once: every room has them from here."""
+"""Words for arrays, for the axes and for sizes of units, once: every room has them from here."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CHANNELS
 
-__all__ = ["ARCSEC", "CHANNELS", "Floats", "Ints", "Labels", "Mask", "Singles"]
+__all__ = ["ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "u_of"]
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -17,3 +17,13 @@ Labels = NDArray[np.str_]
 
 ARCSEC = np.pi / 648000
 """One second of arc, rad."""
+
+MINUTE = 60.0
+HOUR = 3600.0
+"""A minute and an hour, s."""
+
+
+def u_of(covariance: Floats) -> Floats:
+    """Return the standard uncertainties (m,) that a covariance (m, m) has on its diagonal."""
+    root: Floats = np.sqrt(np.diag(covariance))
+    return root

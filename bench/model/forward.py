@@ -10,7 +10,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
-from bench.model.effects import AppliedEffect, Stage
+from bench.model.effects import AppliedEffect, Seen, Stage
 from bench.model.geometry import Installation, specific_force_on_platform
 
 _UNKNOWN_TURN = np.full((3, 3), np.nan)
@@ -123,8 +123,8 @@ class ForwardModel:
         for applied in self.effects:
             if applied.effect.stage is stage:
                 needs_path = applied.effect.needs_path
-                seen = replace(conditions, turns=self._turns(conditions)) if needs_path else conditions
-                total = total + applied.addition(signal, seen, block)
+                rows = replace(conditions, turns=self._turns(conditions)) if needs_path else conditions
+                total = total + applied.addition(Seen(signal, rows, block))
         return total
 
     def _turns(self, conditions: Conditions) -> Floats:

@@ -29,14 +29,13 @@ from pydantic import (
 )
 
 from bench.base.forms import FileModel
-from bench.base.units import AngleRad, TemperatureC, VoltageV
+from bench.base.units import AngleRad, SpanS, TemperatureC, VoltageV
 from bench.procedure.sections import (
     FailureSection,
     OperatorTimeSection,
     Positive,
     ReadingSection,
     SettleVerb,
-    SpanS,
     TemperatureSettle,
 )
 from bench.readings.table import UNORIENTED, scan_order

@@ -21,6 +21,7 @@ from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import acceptance_limit, modulus_slopes
 from bench.base.arrays import Floats
 from bench.model import Conditions, Stage
+from bench.model.effects import Seen
 
 DIRECTIONS: Final = 1000
 MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -125,7 +126,7 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
     applied = setup.model.effects[unknown.effect]
     if applied.effect.stage is not Stage.BLOCK_OUTPUT or applied.effect.needs_history:
         return none
-    conditions = Conditions.of(["1"] * len(force), np.zeros(len(force)))
+    seen = Seen(force, Conditions.of(["1"] * len(force), np.zeros(len(force))), setup.block)
     values = applied.complete_values()
     step = 1e-3 * unknown.prior_u
 
@@ -133,7 +134,7 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
         changed = np.array(values[unknown.parameter])
         changed[() if unknown.channel is None else unknown.channel] += change
         all_values = {**values, unknown.parameter: changed}
-        return applied.effect.addition(all_values, force, conditions, setup.block)
+        return applied.effect.addition(all_values, seen)
 
     slope = (addition(step) - addition(-step)) / (2 * step)
     return source.u * slope[:, :, None]

@@ -202,9 +202,9 @@ class Terms(Effect):
         self.forms = forms
         self.parameters = tuple(Parameter(name, "1", 1.0, 1e-5, per_channel=True) for name in forms)
 
-    def addition(self, values, signal, conditions, block):
+    def addition(self, values, seen):
         return sum(
-            np.diag(block.K) * values[n][:3] * np.stack([form(signal, i) for i in range(3)], axis=1)
+            seen.scale * values[n][:3] * np.stack([form(seen.signal, i) for i in range(3)], axis=1)
             for n, form in self.forms.items()
         )
 
