@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CHANNELS
 
-__all__ = ["ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "u_of"]
+__all__ = [
+    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "u_of",
+    "unit_vectors",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -21,6 +24,12 @@ ARCSEC = np.pi / 648000
 MINUTE = 60.0
 HOUR = 3600.0
 """A minute and an hour, s."""
+
+
+def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
+    """Return the directions (…, 3) of vectors (…, 3), zero for one without a length, and their lengths (…)."""
+    length = np.linalg.norm(vectors, axis=-1)
+    return vectors / np.where(length > 0, length, 1.0)[..., None], length
 
 
 def u_of(covariance: Floats) -> Floats:

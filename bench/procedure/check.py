@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.files.bench.file import BenchFile
-from bench.model.block import COEFFICIENTS
+from bench.model.block import COEFFICIENTS, hidden_axes
 from bench.procedure.plan import Ask, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.table import UNORIENTED, VERIFICATION
@@ -221,13 +221,6 @@ def _is_fitted(step: Read, turns: dict[str, Floats]) -> bool:
 
 
 def undetermined(force: Floats) -> tuple[str, ...]:
-    """Return the coefficients that readings at these specific forces (n, 3) leave open, none for a calibration.
-
-    By the rank of the nominal design, with the threshold of `bench.analysis.calibration.assumptions.require_rank`.
-    """
-    columns = np.column_stack([force, np.ones(len(force))])
-    _, size, directions = np.linalg.svd(np.linalg.qr(columns, mode="r"))
-    size = np.concatenate([size, np.zeros(4 - len(size))])
-    null = np.abs(directions[size <= 1e-3 * size[0]])
-    open_ = [axis for axis, part in zip("xyz0", null.max(axis=0, initial=0.0), strict=True) if part > 1e-3]
-    return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in open_)
+    """Return the coefficients that readings at these specific forces (n, 3) leave open, none for a calibration."""
+    hidden = hidden_axes(force)
+    return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in hidden)

@@ -3,7 +3,7 @@
 from bench.analysis.budget.coefficients import Budget, Contribution, make_budget
 from bench.analysis.budget.estimators import gain
 from bench.analysis.budget.propagation import COVERAGE, Inputs, Propagated, propagate
-from bench.analysis.budget.setup import Setup, make_setup, planned_conditions, rows_of
+from bench.analysis.budget.setup import Setup, make_setup, planned_conditions
 from bench.analysis.budget.sources import ErrorSource, bench_sources, influences, stand_source, stand_sources
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "make_setup",
     "planned_conditions",
     "propagate",
-    "rows_of",
     "stand_source",
     "stand_sources",
 ]

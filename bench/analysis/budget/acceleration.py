@@ -13,13 +13,14 @@ from typing import Any, Final
 import numpy as np
 from scipy import special
 
-from bench.analysis.budget.coefficients import Budget, Contribution, number, parts_of
+from bench.analysis.budget.coefficients import Budget, Contribution, parts_of
 from bench.analysis.budget.propagation import coverage_factor, effective_dof
 from bench.analysis.budget.sources import ErrorSource
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import acceptance_limit, modulus_slopes
 from bench.base.arrays import Floats
+from bench.base.numbers import finite_or_none
 from bench.model import Conditions, Stage
 from bench.model.effects import Seen
 
@@ -222,7 +223,7 @@ class DeltaG:
 
     def to_json(self) -> dict[str, Any]:
         """Return the values as JSON has them."""
-        return {**vars(self), "dof": number(self.dof), "capable": self.capable}
+        return {**vars(self), "dof": finite_or_none(self.dof), "capable": self.capable}
 
 
 def delta_g(

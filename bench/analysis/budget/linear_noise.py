@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats, Singles
+from bench.base.arrays import Floats, Singles, u_of
 
 BATCH: Final = 512
 """So small that a batch stays in the cache and that its product is not shared out among threads."""
@@ -26,8 +26,7 @@ class Moments:
     @property
     def u(self) -> Floats:
         """Standard uncertainties, shape (m,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
+        return u_of(self.covariance)
 
 
 def linear_noise(gain: Floats, sigma: Floats, seed: int, trials: int) -> Moments:

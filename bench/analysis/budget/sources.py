@@ -243,8 +243,7 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """
     problem = setup.effect_problem
     for name, unknown in zip(problem.names(), problem.effects, strict=True):
-        applied = setup.model.effects[unknown.effect]
-        parameter = next(p for p in applied.effect.parameters if p.name == unknown.parameter)
+        parameter = problem.parameter(unknown)
         yield ErrorSource(
             name=name,
             symbol=parameter.name,

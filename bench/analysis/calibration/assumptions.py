@@ -11,7 +11,7 @@ from bench.analysis.calibration.null_space import DirectionKind, told_axis
 from bench.analysis.calibration.observability import Columns, Observability, columns_of, with_angles
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import ARCSEC, Floats
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.block import COEFFICIENTS, Block, hidden_axes
 from bench.model.geometry import STAND_ANGLES
 
 MATTERS: Final = 0.02
@@ -19,19 +19,22 @@ MATTERS: Final = 0.02
 MOST_TOLD: Final = 8
 """More stand angles than these are told by their symbols."""
 
+GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it"
+GRAVITY: Final = (
+    "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
+    "whatever is computed from them in m/s^2"
+)
+
 
 def require_rank(force: Floats) -> None:
     """Refuse readings whose specific forces (n, 3) do not determine the twelve coefficients.
 
     Raises `CalibrationError` naming what is missing.
     """
-    columns = np.column_stack([force, np.ones(len(force))])
-    _, size, directions = np.linalg.svd(np.linalg.qr(columns, mode="r"))
-    size = np.concatenate([size, np.zeros(4 - len(size))])
-    if size[-1] > 1e-3 * max(size[0], 1e-300):
+    hidden = hidden_axes(force)
+    if not hidden:
         return
-    null = directions[size <= 1e-3 * max(size[0], 1e-300)]
-    axes = [axis for axis, part in zip("xyz", np.abs(null).max(axis=0), strict=False) if part > 1e-3]
+    axes = [axis for axis in hidden if axis != "0"]
     lost = [f"K{i}{axis}" for i in "xyz" for axis in axes]
     raise CalibrationError(
         f"{len(force)} readings do not determine {', '.join(lost) or 'the biases'}: the acceleration along "
@@ -51,10 +54,9 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     sentences = [_absent(problem, columns, block, gain, unit, name) for name in assumed]
     sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
-        "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it",
+        GAIN,
         f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and nothing shows it",
-        "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
-        "whatever is computed from them in m/s^2",
+        GRAVITY,
     ]
     return tuple(sentences)
 

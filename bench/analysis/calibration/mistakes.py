@@ -11,7 +11,7 @@ from bench.analysis.calibration.closed_form import NOMINAL_RAD, POINTS
 from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Mask
-from bench.model.block import Block
+from bench.model.block import Block, linear_columns
 from bench.model.geometry import STAND_ANGLES
 from bench.readings.table import Readings
 
@@ -90,7 +90,22 @@ def force_columns(problem: Problem) -> Floats:
     """Return the specific force at the nominal stand, and ones, shape (n, 4)."""
     still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
     force = problem.model.specific_force(problem.conditions, still, Block(np.eye(3), np.zeros(3)))
-    return np.column_stack([force, np.ones(len(force))])
+    return linear_columns(force)
+
+
+def still_channels(signal: Floats) -> list[str]:
+    """Return the channels whose signal (n, 3) is the same in every reading."""
+    return [axis for axis, spread in zip("xyz", np.ptp(signal, axis=0), strict=True) if spread == 0]
+
+
+def refuse_still(signal: Floats) -> None:
+    """Refuse a channel whose signal is the same in every reading."""
+    still = still_channels(signal)
+    if still:
+        raise CalibrationError(
+            f"the signal of channel {', '.join(still)} is the same in every reading; "
+            "check its cable and the supply of the block"
+        )
 
 
 def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None:

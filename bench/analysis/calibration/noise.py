@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from bench.analysis.calibration.result import Noise
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, unit_vectors
 from bench.model.conditions import Conditions
 
 LEAST_REPEATS: Final = 12
@@ -66,9 +66,7 @@ def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatte
     """
     count = np.bincount(groups)
     mean = _group_sum(residuals, groups) / count[:, None]
-    direction = _group_sum(slope, groups) / count[:, None]
-    length = np.linalg.norm(direction, axis=1)
-    unit = direction / np.where(length > 0, length, 1.0)[:, None]
+    unit, length = unit_vectors(_group_sum(slope, groups) / count[:, None])
     deviation = residuals - mean[groups]
     along = np.einsum("ni,ni->n", deviation, unit[groups]) ** 2
     total = np.einsum("ni,ni->n", deviation, deviation)
@@ -250,8 +248,7 @@ def noise_from_residuals(
     if n == 0:
         return _noise_from_free(further, floor)
     count = 3 * n + len(further)
-    length = np.linalg.norm(slope, axis=1)
-    unit = slope / np.where(length > 0, length, 1.0)[:, None]
+    unit, length = unit_vectors(slope)
     columns = np.concatenate([design, response[:, :, None]], axis=2)
     gram = np.einsum("nip,niq->pq", columns, columns) + further.T @ further
     along = np.einsum("nip,ni->np", columns, unit)
@@ -308,8 +305,7 @@ def _noise_from_free(rows: Floats, floor: float) -> Noise:
 
 def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     """Return R^(-1/2) times columns (n, 3, p), R = sigma_u^2 I + sigma_phi^2 d d^T of each reading."""
-    length = np.linalg.norm(slope, axis=1)
-    unit = slope / np.where(length > 0, length, 1.0)[:, None]
+    unit, length = unit_vectors(slope)
     shrink = 1.0 - noise.reading / np.hypot(noise.reading, noise.setting_rad * length)
     along = np.einsum("nip,ni->np", columns, unit) * shrink[:, None]
     result: Floats = (columns - unit[:, :, None] * along[:, None, :]) / noise.reading

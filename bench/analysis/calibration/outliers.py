@@ -20,7 +20,7 @@ from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.gls import MODULUS, SETTING, Fit, Shift, whitened_rows
 from bench.analysis.calibration.noise import whiten
 from bench.analysis.calibration.result import Outlier
-from bench.base.arrays import ARCSEC, Floats, Ints
+from bench.base.arrays import ARCSEC, Floats, Ints, unit_vectors
 from bench.readings.table import Readings
 
 LEVEL: Final = 0.01
@@ -75,19 +75,11 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     """Return the candidate with the largest studentised residual, and its size."""
     system, n = fit.system, len(problem.conditions)
     # the priors' rows take part in the fit, and so in what it leaves
-    rows, target, _ = whitened_rows(
-        problem, system.jacobian, system.left, system.slope, fit.noise, fit.others, system.free
-    )
+    rows, target, _ = whitened_rows(problem, system, fit.noise, fit.others)
     q, _ = np.linalg.qr(rows)
     left = target - q @ (q.T @ target)
-    length = np.linalg.norm(system.slope, axis=1, keepdims=True)
-    ways = np.concatenate(
-        [
-            np.broadcast_to(np.eye(3), (n, 3, 3)),
-            (system.slope / np.where(length > 0, length, 1.0))[:, :, None],
-        ],
-        axis=2,
-    )
+    by_setting = unit_vectors(system.slope)[0][:, :, None]
+    ways = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), by_setting], axis=2)
     ways = whiten(ways, system.slope, fit.noise) if n else ways
     taken = np.einsum("nip,nij->npj", q[: 3 * n].reshape(n, 3, q.shape[1]), ways)
     own = np.einsum("nij,nij->nj", ways, ways)

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, Floats
+from bench.base.arrays import ARCSEC, Floats, u_of
+from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
 
@@ -216,8 +217,7 @@ class Calibration:
     @property
     def u(self) -> Floats:
         """Standard uncertainties of the twelve coefficients, shape (12,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
+        return u_of(self.covariance)
 
     def to_json(self) -> dict[str, Any]:
         """Return the promised result (standard uncertainties; NaN becomes null)."""
@@ -238,16 +238,14 @@ class Calibration:
             "effects": {name: estimate.to_json() for name, estimate in self.effects.items()},
             "not_observable": list(self.assumed),
             "residual": {
-                "rms": _number(fit.rms),
-                "chi2": _number(fit.chi2),
+                **{name: finite_or_none(number) for name, number in asdict(fit).items()},
                 "dof": fit.dof,
-                "p": _number(fit.p),
             },
             "noise": {
                 "reading_v": self.noise.reading,
                 "setting_arcsec": self.noise.setting_rad / ARCSEC,
                 "setting_limits_arcsec": self._setting_limits_arcsec(),
-                "dof": _number(self.noise.dof),
+                "dof": finite_or_none(self.noise.dof),
                 "source": self.noise.source,
             },
             "readings": {"used": self.used, "skipped": self.skipped},
@@ -285,8 +283,4 @@ class Calibration:
 
     def _setting_limits_arcsec(self) -> list[float | None] | None:
         limits = self.noise.setting_limits_rad
-        return None if limits is None else [_number(limit / ARCSEC) for limit in limits]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+        return None if limits is None else [finite_or_none(limit / ARCSEC) for limit in limits]

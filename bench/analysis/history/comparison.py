@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, u_of
 from bench.model.block import COEFFICIENTS
 
 Flags = NDArray[np.bool_]
@@ -187,7 +187,7 @@ def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p:
 
 def _require_regular(snapshot: Snapshot) -> None:
     """Refuse a result in which a coefficient was fixed, or is a sum of others."""
-    u = np.sqrt(np.diag(snapshot.covariance))
+    u = u_of(snapshot.covariance)
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
             f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
@@ -197,7 +197,7 @@ def _require_regular(snapshot: Snapshot) -> None:
 
 def _chi2(difference: Floats, covariance: Floats) -> float:
     """Quadratic form, on correlations so that coefficients of different units are alike."""
-    u = np.sqrt(np.diag(covariance))
+    u = u_of(covariance)
     scaled = difference / u
     return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
 
@@ -226,7 +226,7 @@ def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> Drift:
     line = covariance @ right
     left = [s.vector - d @ line for d, s in zip(designs, snapshots, strict=True)]
     chi2 = sum(_chi2(gap, s.covariance) for gap, s in zip(left, snapshots, strict=True))
-    slope, u = line[count:], np.sqrt(np.diag(covariance))[count:]
+    slope, u = line[count:], u_of(covariance)[count:]
     dof = count * (len(snapshots) - 2)
     p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
     return Drift(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))

@@ -13,12 +13,13 @@ from scipy import special
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.calibrate import usable_rows
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
+from bench.analysis.calibration.gls import noise_floor
 from bench.analysis.calibration.result import CalibrationError, LackOfFit
-from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judge, least_noise, row_outputs
+from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judge, row_outputs
 from bench.analysis.temperature.model import PlateauResult, TemperatureModel, ThermalHysteresis
 from bench.analysis.temperature.plateaus import Plateau, ThermalReadings, sort_readings
 from bench.analysis.temperature.selection import DegreeChoice, choose_degrees
-from bench.base.arrays import Floats, Mask
+from bench.base.arrays import Floats, Mask, u_of
 from bench.model.forward import ForwardModel
 from bench.readings.table import Readings
 
@@ -142,7 +143,7 @@ def _body(
         found,
         make_problem(model, conditions, stand_u),
         repeats.ravel(),
-        least_noise(rows.signal, rows.resolution),
+        noise_floor(rows.signal, rows.resolution),
         reference_c,
         max(high - reference_c, reference_c - low),
     )
@@ -218,7 +219,7 @@ def _plateaus(
     wandered = row_outputs((basis - at_mean) @ best.values.T, force)
     task = body.task(each)
     free = fit(replace(task, signal=task.signal - wandered), best.noise)
-    u = np.sqrt(np.diag(free.covariance)).reshape(FIXED, len(found))
+    u = u_of(free.covariance).reshape(FIXED, len(found))
     results = [_plateau(p, free.values[:, k], u[:, k]) for k, p in enumerate(found)]
     return tuple(results), free
 

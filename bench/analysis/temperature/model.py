@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, u_of
+from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 
 
@@ -44,8 +44,7 @@ class ThermalHysteresis:
     @property
     def u(self) -> Floats:
         """Standard uncertainties of the sizes, shape (12,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
+        return u_of(self.covariance)
 
     @property
     def scatter(self) -> Floats:
@@ -164,7 +163,7 @@ class TemperatureModel:
 
     def to_json(self) -> dict[str, Any]:
         """Return the result; NaN becomes null."""
-        u = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
+        u = u_of(self.covariance).reshape(self.values.shape)
         count = self.values.shape[1]
         return {
             "unit": self.unit,
@@ -214,6 +213,5 @@ def _plateau_json(plateau: PlateauResult) -> dict[str, Any]:
     }
 
 
-def _fit_json(fit: LackOfFit) -> Mapping[str, float | None]:
-    known = {"rms": fit.rms, "chi2": fit.chi2, "dof": fit.dof, "p": fit.p}
-    return {name: float(value) if np.isfinite(value) else None for name, value in known.items()}
+def _fit_json(fit: LackOfFit) -> dict[str, float | None]:
+    return {name: finite_or_none(value) for name, value in asdict(fit).items()}
