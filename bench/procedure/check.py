@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.base.words import APPROACH
 from bench.files.bench.file import BenchFile
 from bench.model.block import COEFFICIENTS, hidden_axes
 from bench.procedure.plan import Ask, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
@@ -77,17 +78,17 @@ def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     if bench.head_limits_rad is None:
         return
     low_rad, high_rad = bench.head_limits_rad
-    told: set[tuple[float, int]] = set()
+    looked_at: set[tuple[float, int]] = set()
     for step in plan.steps:
-        if not isinstance(step, Turn) or (step.target_rad, step.direction) in told:
+        if not isinstance(step, Turn) or (step.target_rad, step.direction) in looked_at:
             continue
-        told.add((step.target_rad, step.direction))
+        looked_at.add((step.target_rad, step.direction))
         start_rad = step.target_rad - step.direction * bench.head_backoff_rad
         lowest, highest = sorted((step.target_rad, start_rad))
         if lowest < low_rad - ROUNDING_RAD or highest > high_rad + ROUNDING_RAD:
             yield (
                 f"step {step.key}: the head may go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°, but "
-                f"{'rising' if step.direction > 0 else 'falling'} to {np.degrees(step.target_rad):g}° needs "
+                f"{APPROACH[step.direction]} to {np.degrees(step.target_rad):g}° needs "
                 f"{np.degrees(lowest):g}° to {np.degrees(highest):g}°"
             )
 

@@ -9,8 +9,7 @@ import numpy as np
 from bench.analysis.history.comparison import COVERAGE, Comparison
 from bench.base.numbers import scale_for
 from bench.model.block import COEFFICIENTS
-from bench.report.plots import BLUE, VERMILION, symbol
-from bench.report.svg_file import svg_file
+from bench.report.plots import BLUE, GREY, VERMILION, svg_file, symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +30,7 @@ def history_figure(comparison: Comparison) -> str:
         for j, name in enumerate(COEFFICIENTS):
             axes = grid.flat[j]
             along = dates if dated else list(range(1, len(snapshots) + 1))
-            axes.axhline(0.0, color="#5F6B76", linewidth=0.7)
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
             axes.errorbar(
                 along, values[:, j] / scale.size, bars[:, j] / scale.size,
                 fmt="X" if changed[j] else "o", color=VERMILION if changed[j] else BLUE, capsize=2.5,

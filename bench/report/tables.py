@@ -9,13 +9,14 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
+from bench.analysis.budget.propagation import correlation_of
 from bench.analysis.calibration import Calibration, Estimate, Noise, Verification
 from bench.analysis.calibration.design import SYMBOLS
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
 from bench.model.effects import CATALOGUE
-from bench.report.plots import correlation_matrix, residual_scale
+from bench.report.plots import residual_scale
 
 MEANINGS: Final = {
     "axis_tilt": "axis tilt",
@@ -116,7 +117,7 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
 
 def strongest_correlations(calibration: Calibration, count: int = 5) -> list[tuple[Markup, Markup, str]]:
     """Return the pairs of coefficients that hang together most, with their correlation."""
-    r = correlation_matrix(calibration)
+    r = correlation_of(calibration.covariance)
     pairs = sorted(
         ((i, j) for i in range(12) for j in range(i)), key=lambda pair: (-abs(r[pair]), pair[1], pair[0])
     )

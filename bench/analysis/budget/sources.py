@@ -153,11 +153,11 @@ def _voltmeter_sources(bench: BenchFile) -> Iterator[ErrorSource]:
     whose = f"{meter.driver}, limits of 90 days on {range_v:g} V"
     largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))
     curved_v = kind.linearity[0] * largest_v + kind.linearity[1] * range_v
-    told = bench.uncertainty
+    section = bench.uncertainty
     for name, symbol, unit, limit, common, stated in (
-        ("voltmeter_gain", "gain", "1", of_reading, "run", told.voltmeter_gain),
-        ("voltmeter_offset", "offset", "V", of_range * range_v, "run", told.voltmeter_offset),
-        ("voltmeter_linearity", "linearity", "V", curved_v, "orientation", told.voltmeter_linearity),
+        ("voltmeter_gain", "gain", "1", of_reading, "run", section.voltmeter_gain),
+        ("voltmeter_offset", "offset", "V", of_range * range_v, "run", section.voltmeter_offset),
+        ("voltmeter_linearity", "linearity", "V", curved_v, "orientation", section.voltmeter_linearity),
     ):
         usual = Distribution(limit, "rectangular")
         yield _stated(name, symbol, unit, common, stated, usual, whose)  # type: ignore[arg-type]
@@ -166,12 +166,12 @@ def _voltmeter_sources(bench: BenchFile) -> Iterator[ErrorSource]:
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Relative to local gravity. A number has the uncertainty of its last digit, at least that of a survey."""
     g = bench.gravity_m_s2
-    told = bench.uncertainty.gravity
+    stated = bench.uncertainty.gravity
     if g is None:
         return
-    if told is not None:
-        relative = replace(told.to_distribution(), limit=told.limit / g)
-        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", told.dof)
+    if stated is not None:
+        relative = replace(stated.to_distribution(), limit=stated.limit / g)
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", stated.dof)
     elif isinstance(bench.gravity, Location):
         origin = "WGS 84 formula: anomalies of 50 mGal"
         yield ErrorSource(
@@ -187,21 +187,21 @@ def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _temperature_source(bench: BenchFile) -> ErrorSource:
-    told, chamber = bench.uncertainty, bench.instruments.chamber
+    section, chamber = bench.uncertainty, bench.instruments.chamber
     band = getattr(chamber, "band", None)
     usual, origin = (CHAMBER, "no band stated: ±0.5 K") if band is None else (
         Distribution(band, "rectangular"), "band of the chamber"
     )  # fmt: skip
-    sizes = (told.bias_temperature_coefficient, told.scale_temperature_coefficient)
+    sizes = (section.bias_temperature_coefficient, section.scale_temperature_coefficient)
     coefficients = [
         (prior if size is None else size.to_distribution()).u
         for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True)
     ]
-    source = _stated("temperature", "T", "K", "mounting", told.temperature, usual, origin)
+    source = _stated("temperature", "T", "K", "mounting", section.temperature, usual, origin)
     return replace(
         source,
         origin=f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)",
-        prior=told.temperature is None or None in sizes,
+        prior=section.temperature is None or None in sizes,
         factors={"bias": coefficients[0], "scale": coefficients[1]},
     )
 

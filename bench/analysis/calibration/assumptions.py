@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.calibration.design import FIXED, SYMBOLS, Problem
-from bench.analysis.calibration.null_space import DirectionKind, told_axis
+from bench.analysis.calibration.null_space import DirectionKind, axis_in_words
 from bench.analysis.calibration.observability import Columns, Observability, columns_of, with_angles
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import ARCSEC, Floats
@@ -16,7 +16,7 @@ from bench.model.geometry import STAND_ANGLES
 
 MATTERS: Final = 0.02
 """A coefficient is named when it takes more than this part of the largest effect of an assumption."""
-MOST_TOLD: Final = 8
+MOST_NAMED: Final = 8
 """More stand angles than these are told by their symbols."""
 
 GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it"
@@ -80,11 +80,11 @@ def _absent(problem: Problem, columns: Columns, block: Block, gain: Floats, unit
         shifts = [columns.of(f"{SYMBOLS[name]}[{mount}]")[: oriented.shape[1]] * ARCSEC for mount in own]
         change = max((oriented @ shift for shift in shifts), key=lambda one: float(np.max(np.abs(one))))
         largest = float(np.max(np.abs(change)))
-        told = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
-        if told:
+        changed = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
+        if changed:
             where = f"one of the {len(own)} mountings" if len(own) > 1 else ""
             where = f"{where} in installation {installation}".strip().removeprefix("in ")
-            what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in told[:3])
+            what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in changed[:3])
             parts.append(f"1 arcsec in {where} puts {what}")
     return (
         f"{name} ({SYMBOLS[name]}, the third mounting angle) is assumed zero and "
@@ -127,7 +127,7 @@ def _small(value: float, unit: str) -> str:
 
 def _together(names: list[str]) -> str:
     """Return stand angles in words; those of many mountings by their symbols."""
-    if len(names) <= MOST_TOLD:
+    if len(names) <= MOST_NAMED:
         return ", ".join(names)
     symbols = dict.fromkeys(name.partition("[")[0] for name in names)
     mountings = dict.fromkeys(name.partition("[")[2] for name in names)
@@ -141,7 +141,7 @@ def _undetermined(found: Observability, unit: str) -> list[str]:
     if turns:
         taking_part = {member for d in turns for member in d.others}
         names = _together([name for name in found.names if name in taking_part])
-        axes = ", ".join(told_axis(d.axis) for d in turns)
+        axes = ", ".join(axis_in_words(d.axis) for d in turns)
         sentences.append(
             f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
             "reading shows; only the limits of the bench file hold it"

@@ -197,18 +197,18 @@ def _fitted(
     task = Task(problem, signal, fit, lambda shifts: refit(shifts=shifts))
     fit = by.weigh(task)
     if by.drops_outliers:
-        return fit, _told(fit, chosen), ()
+        return fit, _listed(fit, chosen), ()
     # a note on one is enough, but free positions alone have too few rows to show one beside another
     most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
         f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
-        for outlier in _told(outliers.search(problem, task.fit, task.refit, most), chosen)
+        for outlier in _listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
 
 
-def _told(fit: gls.Fit, chosen: Chosen) -> tuple[Outlier, ...]:
-    return outliers.told(fit, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
+def _listed(fit: gls.Fit, chosen: Chosen) -> tuple[Outlier, ...]:
+    return outliers.listed(fit, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
 
 
 def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:

@@ -118,10 +118,10 @@ def first_guess_free(signal: Floats) -> Block:
     _, found, directions = np.linalg.svd(columns, full_matrices=False)
     if found[-1] < LEAST_PART * found[0]:
         part = np.abs(directions[-1])
-        told = [name for name, p in zip(PRODUCTS, part, strict=True) if p > 0.3 * part.max()]
+        untold = [name for name, p in zip(PRODUCTS, part, strict=True) if p > 0.3 * part.max()]
         raise CalibrationError(
             f"{len(signal)} free positions do not determine the nine coefficients: they hardly tell "
-            f"{', '.join(told)} of the ellipsoid of signals; add positions with two and three axes "
+            f"{', '.join(untold)} of the ellipsoid of signals; add positions with two and three axes "
             "inclined, up and down"
         )
     q, *_ = np.linalg.lstsq(columns, np.ones(len(signal)), rcond=None)

@@ -98,7 +98,7 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     return Shift(worst // 4, (0, 1, 2, SETTING)[worst % 4]), size
 
 
-def told(
+def listed(
     fit: Fit, oriented: Readings, free: Readings, oriented_rows: Ints, free_rows: Ints
 ) -> tuple[Outlier, ...]:
     """Return the shifts of a fit as outliers, with their places in the table; `*_rows` count them from 0."""

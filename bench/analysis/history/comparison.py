@@ -143,8 +143,8 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
         raise CalibrationError("a comparison needs two calibrations or more; name another run or result")
     units = sorted({snapshot.unit for snapshot in snapshots})
     if len(units) > 1:
-        told = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
-        raise CalibrationError(f"coefficients in different units cannot be compared ({told})")
+        listed = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
+        raise CalibrationError(f"coefficients in different units cannot be compared ({listed})")
     for snapshot in snapshots:
         _require_regular(snapshot)
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
@@ -254,9 +254,9 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
         notes.append("some of these were found on simulated instruments, some on real ones")
     others = sorted({s.g_m_s2 for s in snapshots if s.g_m_s2 != snapshots[0].g_m_s2})
     if others:
-        told = ", ".join(f"{g:.6g}" for g in others)
+        listed = ", ".join(f"{g:.6g}" for g in others)
         notes.append(
-            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {told} elsewhere): scale factors are "
+            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale factors are "
             "converted to the gravity of the first, so that they are compared per m/s²"
         )
     notes.append(

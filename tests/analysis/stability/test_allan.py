@@ -14,7 +14,7 @@ from allantools.ci import edf_greenhall
 from packaging.requirements import Requirement
 
 from bench.analysis.calibration import CalibrationError
-from bench.analysis.stability import AllanCurve, allan_curve
+from bench.analysis.stability.allan import AllanCurve, allan_curve
 
 WHITE, FLICKER, WALK = 0, -1, -2
 LENGTHS = (32, 100, 1000, 4096, 19217)
