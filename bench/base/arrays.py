@@ -34,5 +34,4 @@ def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
 
 def u_of(covariance: Floats) -> Floats:
     """Return the standard uncertainties (m,) that a covariance (m, m) has on its diagonal."""
-    root: Floats = np.sqrt(np.diag(covariance))
-    return root
+    return np.sqrt(np.diag(covariance))

@@ -115,8 +115,7 @@ class ForwardModel:
         angle = conditions.angle_rad + setting_error_rad
         angle = angle + self._additions(Stage.HEAD_ANGLE, angle, conditions, block)
         on_platform = specific_force_on_platform(angle, stand)
-        force: Floats = np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform)
-        return force
+        return np.asarray(np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform))
 
     def _additions(self, stage: Stage, signal: Floats, conditions: Conditions, block: Block) -> Floats:
         total = np.zeros_like(signal)

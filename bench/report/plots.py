@@ -235,8 +235,7 @@ def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Fl
     turn, *_ = np.linalg.lstsq(columns, predicted, rcond=None)
     slope = np.cos(angle_rad)[:, None] * turn[0] - np.sin(angle_rad)[:, None] * turn[1]
     noise = calibration.noise
-    sd: Floats = np.hypot(noise.reading, noise.setting_rad * slope)
-    return sd
+    return np.asarray(np.hypot(noise.reading, noise.setting_rad * slope))
 
 
 def residual_scale(calibration: Calibration) -> Scale:
@@ -257,8 +256,7 @@ def dodged_deg(calibration: Calibration) -> Floats:
     number = calibration.fitted.pass_number
     middle = (number.min() + number.max()) / 2.0
     spread = max(float(np.ptp(number)), 1.0) / 2.0
-    shifted: Floats = np.degrees(calibration.fitted.angle_rad) + DODGE_DEG * (number - middle) / spread
-    return shifted
+    return np.asarray(np.degrees(calibration.fitted.angle_rad) + DODGE_DEG * (number - middle) / spread)
 
 
 def residual_points(

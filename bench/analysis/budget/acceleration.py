@@ -47,14 +47,12 @@ class Measured:
     @property
     def u_vector(self) -> Floats:
         """Root of the sum of the three variances, g, shape (d,)."""
-        root: Floats = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2))
-        return root
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
 
     @property
     def u_modulus(self) -> Floats:
         """Standard uncertainty of the modulus, g, shape (d,)."""
-        root: Floats = np.sqrt(self.modulus_variance(self.covariance))
-        return root
+        return np.sqrt(self.modulus_variance(self.covariance))
 
     @property
     def dof_modulus(self) -> Floats:
@@ -65,8 +63,7 @@ class Measured:
     def modulus_variance(self, covariance: Floats) -> Floats:
         """Return the variance of the modulus (d,) from covariances (d, 3, 3) of the components."""
         unit = self.force / np.linalg.norm(self.force, axis=1)[:, None]
-        variance: Floats = np.einsum("di,dij,dj->d", unit, covariance, unit)
-        return variance
+        return np.asarray(np.einsum("di,dij,dj->d", unit, covariance, unit))
 
 
 def measured(

@@ -39,14 +39,12 @@ class Contribution:
     @property
     def covariance(self) -> Floats:
         """Covariance of the coefficients from this source alone, shape (12, 12)."""
-        matrix: Floats = self.parts @ self.parts.T
-        return matrix
+        return self.parts @ self.parts.T
 
     @property
     def u(self) -> Floats:
         """Standard uncertainties from this source alone, shape (12,), V/g and V."""
-        root: Floats = np.sqrt(np.sum(self.parts**2, axis=1))
-        return root
+        return np.asarray(np.sqrt(np.sum(self.parts**2, axis=1)))
 
 
 @dataclass(frozen=True)

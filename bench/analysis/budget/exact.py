@@ -137,8 +137,7 @@ class _Simulation:
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
         """Apply the estimator to readings less those of a stand without errors, which it returns exactly."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
-        vector: Floats = self._setup.block.vector + flat
-        return vector
+        return self._setup.block.vector + flat
 
     def readings(self, trials: int, rng: np.random.Generator) -> Floats:
         """Return readings (trials, n, 3), V."""

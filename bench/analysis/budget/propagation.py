@@ -153,8 +153,7 @@ def correlation_of(covariance: Floats) -> Floats:
 
 def _variance(slopes: Floats, covariance: Floats, group: Sequence[int]) -> Floats:
     own = slopes[:, list(group)]
-    shared: Floats = np.einsum("mi,ij,mj->m", own, covariance[np.ix_(list(group), list(group))], own)
-    return shared
+    return np.asarray(np.einsum("mi,ij,mj->m", own, covariance[np.ix_(list(group), list(group))], own))
 
 
 def _require_covariance(covariance: Floats) -> None:

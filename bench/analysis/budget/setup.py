@@ -67,8 +67,7 @@ class Setup:
         up, down = (
             self.model.readings(self.block, self.conditions, *errors(step)) for step in (STEP_RAD, -STEP_RAD)
         )
-        slope: Floats = (up - down) / (2 * STEP_RAD)
-        return slope
+        return (up - down) / (2 * STEP_RAD)
 
     @cached_property
     def orientation(self) -> Ints:

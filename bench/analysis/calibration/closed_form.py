@@ -64,15 +64,13 @@ def closed_form_gain(readings: Readings) -> Floats:
     unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)
     by_signal = np.stack([closed_form(e) for e in unit], axis=1).reshape(12, 2, 3, POINTS)
     by_cell = np.moveaxis(by_signal, 2, 3).reshape(12, 2 * POINTS, 3)
-    gain: Floats = by_cell[:, cell, :] / count[cell][None, :, None]
-    return gain
+    return by_cell[:, cell, :] / count[cell][None, :, None]
 
 
 def nominal_angles_rad(readings: Readings) -> Floats:
     """Return the angles (n,) that the closed form takes for granted. Raises as `closed_form_gain` does."""
     _cells(readings)
-    angles: Floats = NOMINAL_RAD[readings.point - 1]
-    return angles
+    return np.asarray(NOMINAL_RAD[readings.point - 1])
 
 
 def _cells(readings: Readings) -> tuple[Ints, Ints]:

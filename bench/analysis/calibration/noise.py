@@ -55,8 +55,7 @@ def repeat_groups(conditions: Conditions) -> Ints:
     """Return a group number per reading, shape (n,): same mounting, point and direction of approach."""
     points = int(conditions.point.max(initial=0)) + 1
     key = (conditions.mount * points + conditions.point) * 3 + conditions.direction
-    groups: Ints = np.unique(key, return_inverse=True)[1]
-    return groups
+    return np.asarray(np.unique(key, return_inverse=True)[1])
 
 
 def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatter:
@@ -308,5 +307,4 @@ def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     unit, length = unit_vectors(slope)
     shrink = 1.0 - noise.reading / np.hypot(noise.reading, noise.setting_rad * length)
     along = np.einsum("nip,ni->np", columns, unit) * shrink[:, None]
-    result: Floats = (columns - unit[:, :, None] * along[:, None, :]) / noise.reading
-    return result
+    return np.asarray((columns - unit[:, :, None] * along[:, None, :]) / noise.reading)

@@ -67,8 +67,7 @@ class Compensated:
     @property
     def u(self) -> Floats:
         """Standard uncertainties, g, shape (n, 3)."""
-        root: Floats = np.sqrt(np.einsum("nii->ni", self.covariance))
-        return root
+        return np.asarray(np.sqrt(np.einsum("nii->ni", self.covariance)))
 
 
 @dataclass(frozen=True)

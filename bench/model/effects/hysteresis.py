@@ -78,8 +78,7 @@ def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Float
         for k in range(len(stops)):
             slack = np.minimum(np.maximum(slack, low[k, i]), high[k, i])
         reached[i] = slack
-    played: Floats = (stops[-1] - reached) / width_g
-    return played
+    return np.asarray((stops[-1] - reached) / width_g)
 
 
 def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Floats:
