@@ -34,11 +34,7 @@ class ForwardModel:
         return any(applied.effect.needs_history for applied in self.effects)
 
     def specific_force(
-        self,
-        conditions: Conditions,
-        stand_rad: Floats,
-        block: Block,
-        setting_error_rad: Floats | float = 0.0,
+        self, conditions: Conditions, stand_rad: Floats, block: Block, setting_error_rad: Floats | float = 0.0
     ) -> Floats:
         """Return the specific force on block axes in g, shape (n, 3).
 
@@ -52,11 +48,7 @@ class ForwardModel:
         return force + self._additions(Stage.SPECIFIC_FORCE, force, conditions, block)
 
     def readings(
-        self,
-        block: Block,
-        conditions: Conditions,
-        stand_rad: Floats,
-        setting_error_rad: Floats | float = 0.0,
+        self, block: Block, conditions: Conditions, stand_rad: Floats, setting_error_rad: Floats | float = 0.0
     ) -> Floats:
         """Return the readings that the model predicts, in volts, shape (n, 3); arguments as above."""
         force = self.specific_force(conditions, stand_rad, block, setting_error_rad)

@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 
 from bench.base.words import APPROACH, degrees
 from bench.procedure.plan import Plan, Read, Step, Turn
-from bench.procedure.steps import place_in_words, scan_in_words
+from bench.procedure.steps import scan_in_words
 
 LONGEST_PERIOD: Final = 24
 """Steps of one point at most that are looked at as a pattern."""
@@ -123,7 +123,7 @@ def _where(step: Step) -> str:
     """Say at which point a step is done; what belongs to none is described."""
     if not isinstance(step, Turn | Read):
         return step.describe()
-    return f"{place_in_words(step)}, pass {step.pass_number}, point {step.point}"
+    return step.where()
 
 
 def _span(first: Turn, last: Turn) -> str:

@@ -48,21 +48,37 @@ class Mount:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
-    """The head is turned to an angle, arriving with rising (+1) or falling (-1) angle."""
+class _AtPoint:
+    """A step at a point: in which installation, on which visit to it, in which pass."""
 
     key: str
     installation: str
     series: int
     pass_number: int
     point: int
+
+    def place(self) -> str:
+        """Say what is turned or read: "installation 1", "the shorted input", with a further series."""
+        if self.installation in _INPUTS:
+            return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
+        return f"installation {mount_in_words(self.installation, self.series)}"
+
+    def where(self) -> str:
+        """Say in words at which point of which pass it is."""
+        return f"{self.place()}, pass {self.pass_number}, point {self.point}"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn(_AtPoint):
+    """The head is turned to an angle, arriving with rising (+1) or falling (-1) angle."""
+
     target_rad: float
     direction: Direction
     on_failure: OnFailure = OnFailure()
 
     def describe(self) -> str:
         """Say in one line what is done."""
-        return f"turn the head to {degrees(self.target_rad)}, {APPROACH[self.direction]}, for {_point(self)}"
+        return f"turn the head to {degrees(self.target_rad)}, {APPROACH[self.direction]}, for {self.where()}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,18 +138,13 @@ class SelectInput:
 
 
 @dataclass(frozen=True, slots=True)
-class Read:
+class Read(_AtPoint):
     """The voltmeters take one reading: `samples` samples of `nplc` power-line cycles each.
 
     A reading of the shorted or reference input (installation S, R) has neither target nor direction. `scan` is
     the order in which the channels are read, such as "zyx"; empty for that of the bench file.
     """
 
-    key: str
-    installation: str
-    series: int
-    pass_number: int
-    point: int
     target_rad: float | None
     direction: Direction | None
     samples: int
@@ -145,7 +156,7 @@ class Read:
         """Say in one line what is done."""
         where = "" if self.target_rad is None else f" at {degrees(self.target_rad)}"
         return (
-            f"read {_point(self)}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
+            f"read {self.where()}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
             f"{scan_in_words(self)}"
         )
 
@@ -224,17 +235,6 @@ def precision_in_words(step: Settle) -> str:
     return f"{step.precision:g} {_UNITS[step.what]}"
 
 
-def place_in_words(step: Turn | Read) -> str:
-    """Return what a step turns in or reads: "installation 1", "the shorted input", with a further series."""
-    if step.installation in _INPUTS:
-        return _INPUTS[step.installation] + ("" if step.series == 1 else f" (series {step.series})")
-    return f"installation {mount_in_words(step.installation, step.series)}"
-
-
 def scan_in_words(step: Read) -> str:
     """Return in which order the channels are read, to be told after the rest; empty where nothing is said."""
     return f", the channels in the order {', '.join(step.scan)}" if step.scan else ""
-
-
-def _point(step: Turn | Read) -> str:
-    return f"{place_in_words(step)}, pass {step.pass_number}, point {step.point}"

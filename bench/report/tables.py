@@ -135,11 +135,11 @@ def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
         rounded(float(d) / scale.size, float(u) / scale.size, sign=True)
         for d, u in zip(difference, np.maximum(calibration.u, compared.u), strict=True)
     ]
-    columns = (
-        [concise(float(v), float(u)) for v, u in zip(calibration.block.vector, calibration.u, strict=True)],
-        [concise(float(v), float(u)) for v, u in zip(compared.block.vector, compared.u, strict=True)],
-        shown,
+    both = (
+        [concise(v, u) for v, u in zip(c.block.vector.tolist(), c.u.tolist(), strict=True)]
+        for c in (calibration, compared)
     )
+    columns = (*both, shown)
     base = scale_for(1.0, calibration.unit)
     cells = list(zip(*(aligned(column) for column in columns), strict=True))
     return [

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import gls, mistakes, outliers
 from bench.analysis.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
@@ -16,6 +15,7 @@ from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_pro
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, Estimator, Task, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.linear import linear_estimate
+from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
 from bench.base.arrays import ARCSEC, Floats, u_of
 from bench.model.block import Block
@@ -24,16 +24,6 @@ from bench.readings.table import FREE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
 """Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
-
-    oriented: Readings
-    free: Readings
-    oriented_rows: NDArray[np.int64]
-    free_rows: NDArray[np.int64]
 
 
 def calibrate(
@@ -197,18 +187,14 @@ def _fitted(
     task = Task(problem, signal, fit, lambda shifts: refit(shifts=shifts))
     fit = by.weigh(task)
     if by.drops_outliers:
-        return fit, _listed(fit, chosen), ()
+        return fit, outliers.listed(fit, chosen), ()
     # a note on one is enough, but free positions alone have too few rows to show one beside another
     most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
         f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
-        for outlier in _listed(outliers.search(problem, task.fit, task.refit, most), chosen)
+        for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
-
-
-def _listed(fit: gls.Fit, chosen: Chosen) -> tuple[Outlier, ...]:
-    return outliers.listed(fit, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
 
 
 def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:

@@ -244,10 +244,7 @@ def coefficient_columns(force: Floats) -> Floats:
 
 
 def make_problem(
-    model: ForwardModel,
-    conditions: Conditions,
-    stand_u: Mapping[str, float],
-    free: FreeRows | None = None,
+    model: ForwardModel, conditions: Conditions, stand_u: Mapping[str, float], free: FreeRows | None = None
 ) -> Problem:
     """Set up the unknowns: a stand angle is one where its size is not zero, an effect's sizes all are.
 

@@ -9,7 +9,7 @@ covariance is that of generalised least squares).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -236,21 +236,7 @@ def _result(
     )  # fmt: skip
 
 
-class Priors(Protocol):
-    """What is known of the unknowns after the coefficients before the data: means and standard deviations."""
-
-    @property
-    def prior_mean(self) -> Floats:
-        """Means, shape (q,)."""
-        ...
-
-    @property
-    def prior_u(self) -> Floats:
-        """Standard deviations, shape (q,)."""
-        ...
-
-
-def estimate_noise(problem: Priors, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
+def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
     """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals."""
     left, slope, free = system.left, system.slope, system.free
     if len(left):
@@ -271,7 +257,7 @@ def estimate_noise(problem: Priors, system: System, groups: Ints, others: Floats
     return noise_from_residuals(whole, scaled, slope, fixed, floor, own / free.weight[:, None])
 
 
-def solve(problem: Priors, system: System, noise: Noise, others: Floats) -> tuple[Floats, Floats, Floats]:
+def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> tuple[Floats, Floats, Floats]:
     """One step: the change of the unknowns, their covariance, and the gain from readings to unknowns."""
     n, _, p = system.jacobian.shape
     rows, target, scale = whitened_rows(problem, system, noise, others)
@@ -286,7 +272,7 @@ def solve(problem: Priors, system: System, noise: Noise, others: Floats) -> tupl
 
 
 def whitened_rows(
-    problem: Priors, system: System, noise: Noise, others: Floats
+    problem: Problem, system: System, noise: Noise, others: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return rows (3n + m + q, p), target and scale (p,) of a step: signals, moduli, priors, each of unit noise.
 

@@ -229,12 +229,7 @@ MOST_PART: Final = 10.0
 
 
 def noise_from_residuals(
-    response: Floats,
-    design: Floats,
-    slope: Floats,
-    fixed: int,
-    floor: float,
-    free: Floats | None = None,
+    response: Floats, design: Floats, slope: Floats, fixed: int, floor: float, free: Floats | None = None
 ) -> Noise:
     """Restricted maximum likelihood of the two noise sizes from what the model leaves.
 

@@ -11,6 +11,7 @@ deviate), with the residuals of a regression.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -33,6 +34,16 @@ PLAINER: Final = 1.05
 """A setting has to explain so much more than one of the three signals that it moves."""
 LEAST_PART: Final = 1e-6
 """A candidate is none where the fit takes up all but this part of it."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
+
+    oriented: Readings
+    free: Readings
+    oriented_rows: Ints
+    free_rows: Ints
 
 
 def most_outliers(problem: Problem) -> int:
@@ -98,13 +109,13 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     return Shift(worst // 4, (0, 1, 2, SETTING)[worst % 4]), size
 
 
-def listed(
-    fit: Fit, oriented: Readings, free: Readings, oriented_rows: Ints, free_rows: Ints
-) -> tuple[Outlier, ...]:
-    """Return the shifts of a fit as outliers, with their places in the table; `*_rows` count them from 0."""
+def listed(fit: Fit, chosen: Chosen) -> tuple[Outlier, ...]:
+    """Return the shifts of a fit as outliers, with their places in the table."""
     found = []
     for shift, size, u in zip(fit.shifts, fit.shift, fit.u_shift, strict=True):
-        table, rows = (free, free_rows) if shift.channel == MODULUS else (oriented, oriented_rows)
+        free = shift.channel == MODULUS
+        table = chosen.free if free else chosen.oriented
+        rows = chosen.free_rows if free else chosen.oriented_rows
         channel, unit, per = _CHANNELS.get(shift.channel, ("", table.unit, 1.0))
         found.append(
             Outlier(
@@ -115,7 +126,7 @@ def listed(
                 point=int(table.point[shift.row]),
                 channel=channel or "xyz"[shift.channel],
                 # the row of a modulus is 1 - |a|: what is too large there is too small in |a|
-                size=float(-size if shift.channel == MODULUS else size / per),
+                size=float(-size if free else size / per),
                 unit=unit,
                 sigma=float(abs(size) / u),
             )

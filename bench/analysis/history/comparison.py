@@ -13,14 +13,11 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import Floats, Mask, u_of
 from bench.model.block import COEFFICIENTS
-
-Flags = NDArray[np.bool_]
 
 COVERAGE: Final = 2.0
 CHANGED_P: Final = 0.05
@@ -75,7 +72,7 @@ class Changes:
     p: float
 
     @property
-    def changed(self) -> Flags:
+    def changed(self) -> Mask:
         """Which coefficients changed beyond their uncertainty, shape (12,)."""
         return self.p_all_looks < CHANGED_P
 
@@ -96,7 +93,7 @@ class Drift:
     p: float
 
     @property
-    def shown(self) -> Flags:
+    def shown(self) -> Mask:
         """Which coefficients drift, shape (12,)."""
         return self.p_all_looks < CHANGED_P
 

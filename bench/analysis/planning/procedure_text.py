@@ -39,12 +39,7 @@ class Times:
 
 
 def procedure_text(
-    name: str,
-    remarks: str,
-    visits: Mapping[Mounting, Mapping[float, int]],
-    times: Times,
-    *,
-    verified: bool,
+    name: str, remarks: str, visits: Mapping[Mounting, Mapping[float, int]], times: Times, *, verified: bool
 ) -> str:
     """Return the text of a procedure file: `remarks` as comments, warm-up, each mounting, verification points.
 

@@ -40,10 +40,7 @@ class ThermalBias(BlockEffect):
     """b_T T, T the temperature less the reference behind a first-order lag."""
 
     name = "thermal_bias"
-    parameters = (
-        Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True),
-        _lag(5, 10, 20, 30),
-    )
+    parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), _lag(5, 10, 20, 30))
     sentence = "the bias of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True
@@ -58,10 +55,7 @@ class ThermalScale(BlockEffect):
     """k_T T K_ii a_i, T the temperature less the reference behind a first-order lag."""
 
     name = "thermal_scale"
-    parameters = (
-        Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True),
-        _lag(5, 10, 20),
-    )
+    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20))
     sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True
