@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import CHANNELS
 
 __all__ = [
-    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "u_of",
+    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "rms", "u_of",
     "unit_vectors",
 ]  # fmt: skip
 
@@ -30,6 +30,11 @@ def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
     """Return the directions (…, 3) of vectors (…, 3), zero for one without a length, and their lengths (…)."""
     length = np.linalg.norm(vectors, axis=-1)
     return vectors / np.where(length > 0, length, 1.0)[..., None], length
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square of values of any shape; NaN where there are none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def u_of(covariance: Floats) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.model.conditions import Conditions
+from bench.model.geometry import within_half_turn
 
 PAST_RAD: Final = np.radians(5.0)
 """How far the head turns past a setting to come to it from the other side."""
@@ -49,8 +50,7 @@ def head_path(conditions: Conditions) -> HeadPath:
     rows: Ints = np.flatnonzero(known)
     mount, end, direction = conditions.mount[rows], conditions.angle_rad[rows], conditions.direction[rows]
     begins = np.concatenate([np.ones(min(len(rows), 1), dtype=bool), mount[1:] != mount[:-1]])
-    change = np.diff(end, prepend=end[:1])
-    change -= 2 * np.pi * np.round(change / (2 * np.pi))
+    change = within_half_turn(np.diff(end, prepend=end[:1]))
     change[begins] = 0.0
     moved = np.where(np.abs(change) > SAME_RAD, np.sign(change), 0.0)
     arrived = np.where(direction != 0, direction, moved)

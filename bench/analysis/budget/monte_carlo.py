@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.budget.propagation import COVERAGE, Propagated, require_probability
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import Floats, Mask, u_of
 from bench.model.distribution import Distribution
 
 Draw = Callable[[np.random.Generator, int], Floats]
@@ -167,7 +166,7 @@ class Validation:
     ratio: Floats
 
     @property
-    def validated(self) -> NDArray[np.bool_]:
+    def validated(self) -> Mask:
         """Where both ends agree within delta, shape (m,)."""
         return np.asarray((self.low <= self.tolerance) & (self.high <= self.tolerance))
 

@@ -17,7 +17,7 @@ from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.linear import linear_estimate
 from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
-from bench.base.arrays import ARCSEC, Floats, u_of
+from bench.base.arrays import ARCSEC, Floats, rms, u_of
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.readings.table import FREE, VERIFICATION, Readings
@@ -66,7 +66,6 @@ def calibrate(
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows))
     covariance = fit.covariance[:FIXED, :FIXED]
     mistakes.refuse_singular(fit.block, u_of(covariance))
-    rms = float(np.sqrt(np.mean(fit.residuals**2))) if len(rows) else float("nan")
     return Calibration(
         estimator=by.name,
         unit=readings.unit,
@@ -74,7 +73,7 @@ def calibrate(
         block=fit.block,
         covariance=covariance,
         noise=fit.noise,
-        lack_of_fit=replace(fit_test, rms=rms),
+        lack_of_fit=replace(fit_test, rms=rms(fit.residuals)),
         fitted=rows,
         residuals=fit.residuals,
         skipped=len(readings.skipped),

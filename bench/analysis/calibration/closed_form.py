@@ -6,6 +6,7 @@ import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Ints
+from bench.model.geometry import within_half_turn
 from bench.readings.table import Readings
 
 POINTS = 9
@@ -95,7 +96,7 @@ def _cells(readings: Readings) -> tuple[Ints, Ints]:
             f"{', '.join(missing)}; measure them, or use the default estimator"
         )
     off = readings.angle_rad - NOMINAL_RAD[readings.point - 1]
-    off = np.abs(off - 2 * np.pi * np.round(off / (2 * np.pi)))  # 360° may be written as 0°
+    off = np.abs(within_half_turn(off))  # 360° may be written as 0°
     if np.any(off > FARTHEST_FROM_NOMINAL_RAD):
         worst = int(np.argmax(off))
         raise CalibrationError(

@@ -26,7 +26,7 @@ from bench.analysis.calibration.noise import (
     whiten,
 )
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, rms
 from bench.model.block import Block
 
 MOST_ITERATIONS: Final = 20
@@ -313,19 +313,19 @@ def misfit_test(
 
     `residuals`, `slope` (n, 3) and `groups` (n,) of repeats as in `scatter_of_repeats`.
     """
-    rms = float(np.sqrt(np.mean(residuals**2))) if residuals.size else float("nan")
+    size = rms(residuals)
     dof = residuals.size - unknowns
     if np.isinf(noise.dof):
-        return LackOfFit(rms, misfit, dof, float(special.chdtrc(dof, misfit)))
+        return LackOfFit(size, misfit, dof, float(special.chdtrc(dof, misfit)))
     if not residuals.size:
-        return LackOfFit(rms, float("nan"), max(dof, 0), float("nan"))
+        return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
     scatter = scatter_of_repeats(residuals, slope, groups)
     dof -= 3 * scatter.settings
     if noise.source != "repeats" or dof <= 0:
-        return LackOfFit(rms, float("nan"), max(dof, 0), float("nan"))
+        return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
     variance = noise.reading**2
     along = variance + (noise.setting_rad * scatter.slope) ** 2
     pure_error = float(np.sum(scatter.across) / variance + np.sum(scatter.along / along))
     chi2 = max(misfit - pure_error, 0.0)
     # the scatter over its own freedom is 1 by construction: the noise was estimated from it
-    return LackOfFit(rms, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))
+    return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))

@@ -10,9 +10,9 @@ import numpy as np
 from bench.analysis.calibration.closed_form import NOMINAL_RAD, POINTS
 from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats, Mask
+from bench.base.arrays import Floats, Mask, rms
 from bench.model.block import Block, linear_columns
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import STAND_ANGLES, within_half_turn
 from bench.readings.table import Readings
 
 OVERLOAD: Final = 9.0e37
@@ -128,9 +128,9 @@ def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None
                 _raise_saturated(axis, int(at_end.sum()), signal[at_end, i])
             continue
         solution, *_ = np.linalg.lstsq(rest, signal[~at_end, i], rcond=None)
-        rms = float(np.sqrt(np.mean((signal[~at_end, i] - rest @ solution) ** 2)))
+        left = rms(signal[~at_end, i] - rest @ solution)
         beyond = (columns[at_end] @ solution - signal[at_end, i]) * sides[at_end]
-        if np.median(beyond) > max(10 * rms, 10 * resolution, LEAST_CLIPPED * np.ptp(signal[:, i])):
+        if np.median(beyond) > max(10 * left, 10 * resolution, LEAST_CLIPPED * np.ptp(signal[:, i])):
             _raise_saturated(axis, int(at_end.sum()), signal[at_end, i])
 
 
@@ -202,8 +202,7 @@ def at_nominal_angles(rows: Readings) -> Readings:
     of_paper = np.isin(rows.installation, ["1", "2"]) & (rows.point >= 1) & (rows.point <= POINTS)
     papers = NOMINAL_RAD[np.clip(rows.point, 1, POINTS) - 1]
     off = rows.angle_rad - papers
-    off = np.abs(off - 2 * np.pi * np.round(off / (2 * np.pi)))
-    usable = missing & of_paper & (off <= FARTHEST_NOMINAL_RAD)
+    usable = missing & of_paper & (np.abs(within_half_turn(off)) <= FARTHEST_NOMINAL_RAD)
     nominal[usable] = papers[usable]
     if np.any(missing & ~usable):
         raise CalibrationError(

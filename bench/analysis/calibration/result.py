@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, Floats, u_of
+from bench.base.arrays import ARCSEC, Floats, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
@@ -204,15 +204,11 @@ class Calibration:
         if self.free is None:
             return float("nan")
         out = {(o.series, o.installation, o.pass_number, o.point) for o in self.outliers}
-        places = zip(
-            self.free.series.tolist(),
-            self.free.installation.tolist(),
-            self.free.pass_number.tolist(),
-            self.free.point.tolist(),
-            strict=True,
-        )
+        of = self.free
+        columns = (of.series, of.installation, of.pass_number, of.point)
+        places = zip(*(column.tolist() for column in columns), strict=True)
         kept = np.array([place not in out for place in places])
-        return float(np.sqrt(np.mean(self.modulus_error[kept] ** 2)))
+        return rms(self.modulus_error[kept])
 
     @property
     def u(self) -> Floats:
@@ -273,7 +269,7 @@ class Calibration:
         rows = zip(self.free.installation, self.free.pass_number, self.free.point, strict=True)
         return {
             "used": len(self.free),
-            "rms_g": float(np.sqrt(np.mean(self.modulus_error**2))),
+            "rms_g": rms(self.modulus_error),
             "rms_g_without_outliers": self.modulus_rms_g,
             "rows": [
                 {"installation": str(i), "pass": int(p), "point": int(t), "delta_g": float(e)}

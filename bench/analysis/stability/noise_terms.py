@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
 
 from bench.analysis.stability.allan import AllanCurve
-from bench.base.arrays import Floats, Ints, u_of
+from bench.base.arrays import Floats, Ints, Mask, u_of
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class NoiseTerms:
         return np.sqrt(np.maximum(self.squares, 0.0))
 
     @property
-    def shown(self) -> NDArray[np.bool_]:
+    def shown(self) -> Mask:
         """Which terms the record shows, shape (5,)."""
         return self.squares > SHOWN * u_of(self.covariance)
 

@@ -6,10 +6,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
-from bench.base.arrays import Floats, Ints, u_of
+from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 
@@ -117,7 +116,7 @@ class TemperatureModel:
         covariance: Floats = spread @ self.covariance @ spread.T
         return covariance if self.hysteresis is None else covariance + self.hysteresis.scatter
 
-    def outside(self, temperature_c: float | Floats) -> NDArray[np.bool_]:
+    def outside(self, temperature_c: float | Floats) -> Mask:
         """Whether temperatures lie outside the valid range: no reading stands behind the polynomial there."""
         t = np.asarray(temperature_c, dtype=np.float64)
         return ~((t >= self.minimum_c) & (t <= self.maximum_c))

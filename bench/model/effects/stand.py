@@ -22,6 +22,7 @@ class ConstantAngle(StandEffect):
     """A stand angle that is larger than what the bench file allows."""
 
     column: ClassVar[str]
+    per_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the angle in its column, rad, shape (n, 5)."""
@@ -36,7 +37,6 @@ class AxisTilt(ConstantAngle):
     parameters = (angle("angle", 10),)
     sentence = "the head's axis is tilted from the level by more than the bench file allows"
     shown_by = "a remount turned by 180 deg; a level on the shaft"
-    per_mount = True
 
 
 class ZeroOffset(ConstantAngle):
@@ -47,7 +47,6 @@ class ZeroOffset(ConstantAngle):
     parameters = (angle("angle", 10),)
     sentence = "the zero of the head's scale is off the vertical by more than the bench file allows"
     shown_by = "both directions of approach, and installations that share an axis of the block"
-    per_mount = True
 
 
 class MountingError(ConstantAngle):
@@ -58,7 +57,6 @@ class MountingError(ConstantAngle):
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted turned out of the plane of rotation by more than the bench file allows"
     shown_by = "a remount turned by 180 deg on the platform"
-    per_mount = True
 
 
 class MountingOffset(ConstantAngle):
@@ -69,7 +67,6 @@ class MountingOffset(ConstantAngle):
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted turned within the plane of rotation"
     shown_by = "a remount turned by 180 deg on the platform"
-    per_mount = True
 
 
 class MountingRoll(ConstantAngle):
@@ -80,4 +77,3 @@ class MountingRoll(ConstantAngle):
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted tilted about the third axis of the platform"
     shown_by = "verification points with the block turned about x or z; a third installation"
-    per_mount = True

@@ -35,7 +35,6 @@ class BracketTilt(ConstantAngle):
     parameters = (angle("angle", 30),)
     sentence = "what carries the block tilted by the same at all angles when the block was mounted"
     shown_by = "a return to installation 1 at the end; a remount turned by 180 deg"
-    per_mount = True
 
 
 class FoundationTilt(StandEffect):
