@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from drivers.interfaces import CHANNELS
 
 __all__ = [
-    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "rms", "u_of",
-    "unit_vectors",
+    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "least_squares", "rms",
+    "u_of", "unit_vectors",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -30,6 +30,12 @@ def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
     """Return the directions (…, 3) of vectors (…, 3), zero for one without a length, and their lengths (…)."""
     length = np.linalg.norm(vectors, axis=-1)
     return vectors / np.where(length > 0, length, 1.0)[..., None], length
+
+
+def least_squares(columns: Floats, target: Floats) -> tuple[Floats, Floats]:
+    """Return the solution (p,) or (p, k) of columns (n, p) for a target (n,) or (n, k), and what it leaves."""
+    solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
+    return np.asarray(solution), target - columns @ solution
 
 
 def rms(values: Floats) -> float:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.analysis.history.comparison import COVERAGE, Comparison
+from bench.analysis.calibration.verification import COVERAGE_FACTOR
+from bench.analysis.history.comparison import Comparison
 from bench.base.numbers import scale_for
 from bench.model.block import COEFFICIENTS
 from bench.report.plots import BLUE, GREY, VERMILION, svg_file, symbol
@@ -21,7 +22,7 @@ def history_figure(comparison: Comparison) -> str:
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
     dated = len(dates) == len(snapshots)
     values = np.array([snapshot.vector for snapshot in snapshots]) - comparison.first.vector
-    bars = COVERAGE * np.sqrt([np.diag(snapshot.covariance) for snapshot in snapshots])
+    bars = COVERAGE_FACTOR * np.sqrt([np.diag(snapshot.covariance) for snapshot in snapshots])
     changed = np.any([changes.changed for changes in comparison.changes], axis=0)
     scale = scale_for(float(np.max(np.abs(values) + bars)), comparison.first.unit)
 

@@ -17,7 +17,7 @@ from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.linear import linear_estimate
 from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
-from bench.base.arrays import ARCSEC, Floats, rms, u_of
+from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.readings.table import FREE, VERIFICATION, Readings
@@ -164,9 +164,9 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
         mistakes.refuse_singular(block)
         return block
     columns = mistakes.force_columns(problem)
-    solution, *_ = np.linalg.lstsq(columns, signal, rcond=None)
+    solution, left = least_squares(columns, signal)
     if not mistakes.still_channels(signal):
-        mistakes.refuse_wrong_angle_unit(problem, signal, signal - columns @ solution)
+        mistakes.refuse_wrong_angle_unit(problem, signal, left)
     require_rank(columns[:, :3])
     mistakes.refuse_still(signal)
     mistakes.refuse_saturated(columns, signal, resolution)

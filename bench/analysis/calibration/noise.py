@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from bench.analysis.calibration.result import Noise
-from bench.base.arrays import Floats, Ints, unit_vectors
+from bench.base.arrays import Floats, Ints, least_squares, unit_vectors
 from bench.model.conditions import Conditions
 
 LEAST_REPEATS: Final = 12
@@ -274,8 +274,7 @@ def noise_from_residuals(
         return float(value), 2 * np.array([by_reading, by_setting])
 
     whole = np.vstack([columns.reshape(3 * n, p + 1), further])
-    solution, *_ = np.linalg.lstsq(whole[:, :p], whole[:, p], rcond=None)
-    left = whole[:, p] - whole[:, :p] @ solution
+    _, left = least_squares(whole[:, :p], whole[:, p])
     freedom = max(count - p, 1)
     guess = max(float(np.sqrt(left @ left / freedom)), floor)
     steepness = max(float(np.sqrt(np.mean(length**2))), 1e-300)
@@ -291,8 +290,7 @@ def noise_from_residuals(
 
 def _noise_from_free(rows: Floats, floor: float) -> Noise:
     """Noise of free positions alone: what is left over the degrees of freedom, no setting being known."""
-    solution, *_ = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)
-    left = rows[:, -1] - rows[:, :-1] @ solution
+    _, left = least_squares(rows[:, :-1], rows[:, -1])
     freedom = max(len(rows) - rows.shape[1] + 1, 1)
     return Noise(max(float(np.sqrt(left @ left / freedom)), floor), 0.0, float(freedom), "residuals")
 

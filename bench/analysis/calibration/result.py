@@ -155,6 +155,12 @@ class Triangular:
         }
 
 
+def values_with_u(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
+    """Return the first of the twelve coefficients (m,) by name, each with its standard uncertainty."""
+    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
+    return {name: {"value": value, "u": u} for name, value, u in rows}
+
+
 @dataclass(frozen=True)
 class Calibration:
     """The twelve coefficients and what belongs to them.
@@ -223,10 +229,7 @@ class Calibration:
             "unit": self.unit,
             "g_m_s2": self.g_m_s2,
             "per": "g",
-            "coefficients": {
-                name: {"value": float(value), "u": float(u)}
-                for name, value, u in zip(COEFFICIENTS, self.block.vector, self.u, strict=True)
-            },
+            "coefficients": values_with_u(self.block.vector, self.u),
             "coefficients_per_ms2": self._per_ms2(),
             "order": list(COEFFICIENTS),
             "covariance": self.covariance.tolist(),
@@ -254,14 +257,8 @@ class Calibration:
 
     def _per_ms2(self) -> dict[str, Any]:
         """K in unit/(m/s^2), from K per g by the g that is stated, whose own uncertainty is not in u."""
-        g, order = self.g_m_s2, COEFFICIENTS[:9]
-        return {
-            "unit": f"{self.unit}/(m/s^2)",
-            **{
-                name: {"value": float(value) / g, "u": float(u) / g}
-                for name, value, u in zip(order, self.block.vector[:9], self.u[:9], strict=True)
-            },
-        }
+        scale = values_with_u(self.block.vector[:9] / self.g_m_s2, self.u[:9] / self.g_m_s2)
+        return {"unit": f"{self.unit}/(m/s^2)", **scale}
 
     def _free_json(self) -> dict[str, Any] | None:
         if self.free is None:

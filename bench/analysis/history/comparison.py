@@ -16,10 +16,10 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.calibration.verification import COVERAGE_FACTOR
 from bench.base.arrays import Floats, Mask, u_of
 from bench.model.block import COEFFICIENTS
 
-COVERAGE: Final = 2.0
 CHANGED_P: Final = 0.05
 """A coefficient changed when chance alone would show any change so large, in all looks, less often than this."""
 JOINT_P: Final = 0.01
@@ -177,7 +177,7 @@ def holm(p: Floats) -> Floats:
 
 
 def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:
-    en = np.abs(difference) / (COVERAGE * u)
+    en = np.abs(difference) / (COVERAGE_FACTOR * u)
     chi2 = _chi2(difference, first.covariance + later.covariance)
     return Changes(later, difference, u, en, p, chi2, float(special.chdtrc(len(difference), chi2)))
 

@@ -27,7 +27,7 @@ from bench.analysis.planning.exchange import (
 )
 from bench.analysis.planning.goals import Goal, worst
 from bench.analysis.planning.settings import Cost, Setting, conditions_of
-from bench.base.arrays import Floats
+from bench.base.arrays import HOUR, Floats
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mounting
 
 _ROUNDS: Final = 4
@@ -272,7 +272,7 @@ def _too_short(time_s: float, least_s: float) -> str:
     if math.isinf(least_s):
         return "no choice of these installations determines the coefficients; allow more of them, or more mountings"
     return (
-        f"{time_s / 3600:.3g} h are too short for a calibration: the shortest takes {least_s / 3600:.3g} h, "
+        f"{time_s / HOUR:.3g} h are too short for a calibration: the shortest takes {least_s / HOUR:.3g} h, "
         "warm-up and verification points included"
     )
 

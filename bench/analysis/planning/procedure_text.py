@@ -8,6 +8,7 @@ from typing import Final
 
 from bench.analysis.planning.points import passes
 from bench.analysis.planning.settings import Cost
+from bench.base.arrays import HOUR
 from bench.base.words import APPROACH, exact_degrees, exact_duration
 from bench.model import Mounting
 from bench.procedure.plan import Plan, Read
@@ -27,7 +28,7 @@ class Times:
     turn_s: float = 120.0
     mount_s: float = 1200.0
     soak_s: float = 600.0
-    warm_up_s: float = 3600.0
+    warm_up_s: float = HOUR
 
     def cost(self, line_hz: float, *, verified: bool) -> Cost:
         """Return what settings and mountings cost; `verified` adds the verification points at the end."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
+from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise, values_with_u
 from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
@@ -204,10 +204,7 @@ def _plateau_json(plateau: PlateauResult) -> dict[str, Any]:
         "readings": plateau.readings,
         "coefficients": None
         if plateau.value is None or plateau.u is None
-        else {
-            name: {"value": float(value), "u": float(u)}
-            for name, value, u in zip(COEFFICIENTS, plateau.value, plateau.u, strict=True)
-        },
+        else values_with_u(plateau.value, plateau.u),
     }
 
 
