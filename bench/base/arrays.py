@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from drivers.interfaces import CHANNELS
 
 __all__ = [
-    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "Ints", "Labels", "Mask", "Singles", "least_squares", "rms",
-    "u_of", "unit_vectors",
+    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "HasCovariance", "Ints", "Labels", "Mask", "Singles",
+    "least_squares", "rms", "u_of", "unit_vectors",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -46,3 +46,14 @@ def rms(values: Floats) -> float:
 def u_of(covariance: Floats) -> Floats:
     """Return the standard uncertainties (m,) that a covariance (m, m) has on its diagonal."""
     return np.sqrt(np.diag(covariance))
+
+
+class HasCovariance:
+    """What has a `covariance` (m, m), and so standard uncertainties."""
+
+    covariance: Floats
+
+    @property
+    def u(self) -> Floats:
+        """Standard uncertainties, shape (m,)."""
+        return u_of(self.covariance)

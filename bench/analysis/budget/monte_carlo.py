@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.analysis.budget.propagation import COVERAGE, Propagated, require_probability
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats, Mask, u_of
+from bench.base.arrays import Floats, HasCovariance, Mask
 from bench.model.distribution import Distribution
 
 Draw = Callable[[np.random.Generator, int], Floats]
@@ -55,7 +55,7 @@ def about(mean: float, distribution: Distribution, dof: float = math.inf) -> Dra
 
 
 @dataclass(frozen=True)
-class Distributed:
+class Distributed(HasCovariance):
     """Outputs as Monte Carlo gives them: `mean` (m,), `u` (m,), `covariance` (m, m).
 
     `symmetric` (m, 2) are the ends of the probabilistically symmetric coverage intervals for `probability`,
@@ -70,11 +70,6 @@ class Distributed:
     probability: float
     trials: int
     stable: bool = True
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties, shape (m,)."""
-        return u_of(self.covariance)
 
 
 def monte_carlo(

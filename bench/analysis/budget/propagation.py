@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import Floats, HasCovariance, u_of
 
 COVERAGE: Final = 0.9545
 """The coverage probability of results: that of k = 2 for a normal distribution (EA-4/02 M:2022, section 5)."""
@@ -56,17 +56,12 @@ def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
 
 
 @dataclass(frozen=True)
-class Propagated:
+class Propagated(HasCovariance):
     """Outputs `value` (m,) with their `covariance` (m, m) and effective degrees of freedom `dof` (m,)."""
 
     value: Floats
     covariance: Floats
     dof: Floats
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties, shape (m,)."""
-        return u_of(self.covariance)
 
     @property
     def correlation(self) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, Floats, rms, u_of
+from bench.base.arrays import ARCSEC, Floats, HasCovariance, rms
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
@@ -162,7 +162,7 @@ def values_with_u(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(HasCovariance):
     """The twelve coefficients and what belongs to them.
 
     `covariance` (12, 12) in the order of `COEFFICIENTS`; K in unit/g with g = `g_m_s2`, biases in unit.
@@ -215,11 +215,6 @@ class Calibration:
         places = zip(*(column.tolist() for column in columns), strict=True)
         kept = np.array([place not in out for place in places])
         return rms(self.modulus_error[kept])
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties of the twelve coefficients, shape (12,)."""
-        return u_of(self.covariance)
 
     def to_json(self) -> dict[str, Any]:
         """Return the promised result (standard uncertainties; NaN becomes null)."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise, values_with_u
-from bench.base.arrays import Floats, Ints, Mask, u_of
+from bench.base.arrays import Floats, HasCovariance, Ints, Mask, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 
@@ -28,7 +28,7 @@ class PlateauResult:
 
 
 @dataclass(frozen=True)
-class ThermalHysteresis:
+class ThermalHysteresis(HasCovariance):
     """Rising minus falling at the same temperature, `size` (12,) with `covariance` (12, 12).
 
     One size for all temperatures reached from both sides. `p` is that of all twelve together (chi-square),
@@ -39,11 +39,6 @@ class ThermalHysteresis:
     covariance: Floats
     p: float
     p_each: Floats
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties of the sizes, shape (12,)."""
-        return u_of(self.covariance)
 
     @property
     def scatter(self) -> Floats:
