@@ -57,23 +57,21 @@ class Answered:
     answer: str
 
 
-@dataclass(frozen=True)
-class Passed:
-    """Time passed."""
-
-
-Result = Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered | Passed
+Result = Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered
+"""What a step brings; a wait brings none."""
 
 _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered)
 """Results, which their fields tell apart in a record."""
 
 
-def result_to_json(result: Result) -> dict[str, Any]:
+def result_to_json(result: Result | None) -> dict[str, Any]:
     """Return what is recorded of a step."""
+    if result is None:
+        return {}
     return {"reading": result.to_json()} if isinstance(result, Reading) else asdict(result)
 
 
-def result_from_json(data: Mapping[str, Any]) -> Result:
+def result_from_json(data: Mapping[str, Any]) -> Result | None:
     """Return what a step brought from what is recorded of it."""
     if "reading" in data:
         return Reading.from_json(data["reading"])
@@ -81,7 +79,7 @@ def result_from_json(data: Mapping[str, Any]) -> Result:
         values: dict[str, Any] = {of.name: data[of.name] for of in fields(kind) if of.name in data}
         if values:
             return kind(**values)
-    return Passed()
+    return None
 
 
 # --- events -----------------------------------------------------------------------------------------
@@ -167,11 +165,10 @@ class Event:
 
     @property
     def result(self) -> Result | None:
-        """What a step brought; None for events that are not the end of one."""
+        """What a step brought; None for events that are not the end of one, and a step that brought nothing."""
         return result_from_json(self.data) if self.type == EventType.STEP_DONE else None
 
     @property
     def reading(self) -> Reading | None:
         """The reading that a step brought, if it did."""
-        result = self.result
-        return result if isinstance(result, Reading) else None
+        return result if isinstance(result := self.result, Reading) else None

@@ -18,7 +18,6 @@ from bench.run.events import (
     CameToRest,
     InputSelected,
     Mounted,
-    Passed,
     Result,
     TemperatureSet,
     Turned,
@@ -118,7 +117,7 @@ class Workbench:
     temperature_c: float | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
 
-    def execute(self, step: Step) -> Result:
+    def execute(self, step: Step) -> Result | None:
         """Carry out a step and return what it brought. Raises `BenchError`."""
         match step:
             case Mount():
@@ -128,7 +127,8 @@ class Workbench:
             case Read():
                 return self._read(step)
             case Wait():
-                return self._wait(step.duration_s)
+                self._wait(step.duration_s)
+                return None
             case SetTemperature():
                 return self.set_temperature(step)
             case Settle():
@@ -171,12 +171,11 @@ class Workbench:
         self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
-    def _wait(self, duration_s: float) -> Passed:
+    def _wait(self, duration_s: float) -> None:
         end_s = self.clock.now_s() + duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
             self.clock.sleep(min(NAP_S, left_s))
-        return Passed()
 
     def _settle(self, step: Settle) -> CameToRest:
         """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""

@@ -55,7 +55,7 @@ class Mistake:
     words: str
     p: float
     cannot_tell_from: tuple[str, ...]
-    evidence: Evidence
+    evidence: Evidence = Evidence(np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,6 @@ def _gross_mistake(gross: GrossMistake) -> Mistake:
         words=supposition.words + alike,
         p=gross.p,
         cannot_tell_from=tuple(names),
-        evidence=Evidence(np.nan, np.nan),
     )
 
 
@@ -182,7 +181,6 @@ def _single_mistake(view: _FirstGuess, single: SingleMistake) -> Mistake:
         words=f"installation {mount}, pass {number}, point {point}: {_single_words(view, single)}",
         p=single.p,
         cannot_tell_from=(MistakeName.OUTLIER,) if single.as_outlier and single.off_rad is not None else (),
-        evidence=Evidence(np.nan, np.nan),
     )
 
 

@@ -85,6 +85,7 @@ class EarlyWarning:
         self._scale = scale
         self._nominal = Block(np.diag(nominal_v_g), np.zeros(3))
         self._model = model
+        self._oriented = model.installations.keys() - UNORIENTED
         self._stand_u = dict(stand_u)
         terms = np.where(np.eye(3) == 1, SCALE_FACTOR_U, CROSS_AXIS_U) * scale[:, None]
         self._prior = Expectation.about(self._nominal, np.concatenate([terms.ravel(), BIAS_U_G * scale]))
@@ -118,11 +119,7 @@ class EarlyWarning:
         Those without a known orientation (free, shorted, reference; no angle; an installation that the model
         lacks) are passed over. A reading taken again takes the place of the earlier one.
         """
-        if (
-            reading.angle_deg is None
-            or reading.installation in UNORIENTED
-            or reading.installation not in self._model.installations
-        ):
+        if reading.angle_deg is None or reading.installation not in self._oriented:
             return []
         self._replace_earlier(reading)
         sighting = self._sight(reading)
@@ -152,17 +149,15 @@ class EarlyWarning:
 
     def _sight(self, reading: Reading) -> Sighting:
         """Make a sighting of a reading, with what may have changed since the last one."""
-        label, conditions = reading.installation, readings_of([reading], "").conditions()
-        angle = float(conditions.angle_rad[0])
+        conditions = readings_of([reading], "").conditions()
         new_mount = self._mounted_anew or self._history[-1].row.mounts != conditions.mounts
         self._mounted_anew = False
-        mount = str(conditions.mounts[0])
-        where = f"installation {mount}, pass {reading.pass_number}, point {reading.point}"
+        where = f"installation {conditions.mounts[0]}, pass {reading.pass_number}, point {reading.point}"
         sighting = Sighting(
-            place=f"{where} at {format_dms(angle)}",
+            place=f"{where} at {format_dms(float(conditions.angle_rad[0]))}",
             row=conditions,
             signal_v=np.asarray(reading.mean, dtype=np.float64),
-            pose=poses(self._model, self._nominal, conditions, [label], np.array([angle])),
+            pose=poses(self._model, self._nominal, conditions, [reading.installation], conditions.angle_rad),
             new_mount=new_mount,
             loosened=self._changes(
                 float(conditions.time_s[0]), float(conditions.temperature_c[0]), new_mount
@@ -187,11 +182,9 @@ class EarlyWarning:
 
     def _replace_earlier(self, reading: Reading) -> None:
         """Strike the reading that this one repeats, and make the model forget it."""
-        earlier = self._places.pop(reading.place, None)
-        if earlier is None:
-            return
-        earlier.struck = True
-        self._go_through_again()
+        if (earlier := self._places.pop(reading.place, None)) is not None:
+            earlier.struck = True
+            self._go_through_again()
 
     def _go_through_again(self) -> None:
         """Judge and learn all readings anew, with what is known by now of the noise and of mistakes."""
