@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from benchmarks.blind_trial.cases import Row, make_case
+from benchmarks.blind_trial.cases import Answer, Case, Row, make_case
 from benchmarks.blind_trial.effects import CATALOGUE
+from benchmarks.blind_trial.geometry import Floats
 
 SEED = 20261122
 NOISE_V = 15e-6
 
 
-def mistaken(name: str, wanted: str) -> tuple[np.ndarray, object, object]:
+def mistaken(name: str, wanted: str) -> tuple[Floats, Case, Answer]:
     """Readings less what a stand without errors gives, with the mistake whose place contains `wanted`."""
     for index in range(200):
         case, answer = make_case(SEED, Row(f"mistake:{name}"), index)
@@ -20,7 +21,7 @@ def mistaken(name: str, wanted: str) -> tuple[np.ndarray, object, object]:
     raise AssertionError(f"no {name} at {wanted}")
 
 
-def single(name: str, design: str = "paper") -> tuple[object, object]:
+def single(name: str, design: str = "paper") -> tuple[Case, Answer]:
     turn = list(CATALOGUE).index(name)
     for index in range(turn, 20 * len(CATALOGUE), len(CATALOGUE)):
         case, answer = make_case(SEED, Row("single", design, 10), index)
@@ -29,6 +30,6 @@ def single(name: str, design: str = "paper") -> tuple[object, object]:
     raise AssertionError(f"no {name}")
 
 
-def said(verdict: str, *effects: tuple[str, list[str]], hidden: tuple[str, ...] = ()) -> dict:
+def said(verdict: str, *effects: tuple[str, list[str]], hidden: tuple[str, ...] = ()) -> dict[str, Any]:
     found = [{"name": name, "cannot_tell_from": others} for name, others in effects]
     return {"verdict": verdict, "effects": found, "hidden": list(hidden)}

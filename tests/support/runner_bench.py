@@ -1,17 +1,25 @@
 """A bench in memory, a plan of two installations, and runners over them."""
 
+from collections.abc import Collection
 from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
-from bench.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Turn, Wait
-from bench.run.record import Record, read_history
+from bench.base.arrays import CHANNELS
+from bench.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
+from bench.run.record import History, Record, read_history
 from bench.run.runner import Runner
 from bench.run.workbench import Instruments
 from drivers.interfaces import (
     Answer,
+    Channel,
+    Direction,
     HeadPosition,
     Identity,
     InstrumentLost,
+    Prompt,
     PromptKind,
+    VoltmeterSettings,
 )
 from sim.world.clock import VirtualClock
 
@@ -21,13 +29,13 @@ NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 class Bench:
     """A bench in memory that keeps what was done to it; `trouble` raises at the n-th action."""
 
-    def __init__(self, trouble=None, at=None):
-        self.done = []
-        self.closed = []
+    def __init__(self, trouble: BaseException | None = None, at: int | None = None) -> None:
+        self.done: list[tuple[Any, ...]] = []
+        self.closed: list[str] = []
         self.trouble = trouble
         self.at = at
 
-    def act(self, *what):
+    def act(self, *what: object) -> None:
         if self.trouble is not None and len(self.done) == self.at:
             trouble, self.trouble = self.trouble, None
             raise trouble
@@ -35,51 +43,52 @@ class Bench:
 
 
 class Meter:
-    def __init__(self, bench, channel, absent=False):
-        self.bench, self.channels, self.absent = bench, (channel,), absent
+    def __init__(self, bench: Bench, channel: Channel, absent: bool = False) -> None:
+        self.bench, self.channel, self.absent = bench, channel, absent
+        self.channels: tuple[Channel, ...] = (channel,)
         self.name = f"voltmeter.{channel}"
 
-    def open(self):
+    def open(self) -> Identity:
         if self.absent:
             raise InstrumentLost(self.name, "no answer", "check the cable")
         return Identity("HEWLETT-PACKARD", "34401A")
 
-    def close(self):
+    def close(self) -> None:
         self.bench.closed.append(self.name)
 
-    def configure(self, settings):
+    def configure(self, settings: VoltmeterSettings) -> None:
         self.bench.act("configure", self.name, settings)
 
-    def start(self):
+    def start(self) -> None:
         self.bench.act("start", self.name)
 
-    def fetch(self):
+    def fetch(self) -> dict[Channel, tuple[float, ...]]:
         self.bench.act("fetch", self.name)
-        return {self.channels[0]: (1.0, 2.0)}
+        return {self.channel: (1.0, 2.0)}
 
 
 class Head:
     name = "head"
 
-    def __init__(self, bench):
+    def __init__(self, bench: Bench) -> None:
         self.bench = bench
 
-    def open(self):
+    def open(self) -> Identity:
         return Identity("manual", "head")
 
-    def close(self):
+    def close(self) -> None:
         self.bench.closed.append(self.name)
 
-    def move(self, target_rad, direction, key):
+    def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         self.bench.act("move", key)
         return HeadPosition(target_rad + 1e-5, direction)
 
 
 class Person:
-    def __init__(self, bench):
+    def __init__(self, bench: Bench) -> None:
         self.bench = bench
 
-    def ask(self, prompt):
+    def ask(self, prompt: Prompt) -> Answer:
         self.bench.act("ask", prompt.id)
         return Answer(prompt.id, prompt.default or "7")
 
@@ -87,8 +96,8 @@ class Person:
 STOP = OnFailure(repeats=0, then="stop")
 
 
-def make_plan(on_failure=STOP):
-    steps = [Wait("w", 3600.0, "warm-up"), Ask("a", PromptKind.NUMBER, "Supply", unit="V")]
+def make_plan(on_failure: OnFailure = STOP) -> Plan:
+    steps: list[Step] = [Wait("w", 3600.0, "warm-up"), Ask("a", PromptKind.NUMBER, "Supply", unit="V")]
     for installation in "12":
         steps.append(Mount(f"m{installation}", installation, 1))
         for point in (1, 2, 3):
@@ -104,14 +113,16 @@ READS = [step.key for step in PLAN.steps if isinstance(step, Read)]
 ALL = {"voltmeter.x", "voltmeter.y", "voltmeter.z", "head"}
 
 
-def instruments(bench, absent=()):
-    return Instruments([Meter(bench, c, c in absent) for c in "xyz"], Head(bench))
+def instruments(bench: Bench, absent: Collection[str] = ()) -> Instruments:
+    return Instruments([Meter(bench, c, c in absent) for c in CHANNELS], Head(bench))
 
 
-def make_runner(bench, record, plan=PLAN, **options):
+def make_runner(
+    bench: Bench, record: Record, plan: Plan = PLAN, absent: Collection[str] = (), **options: Any
+) -> Runner:
     return Runner(
         plan,
-        instruments(bench, options.pop("absent", ())),
+        instruments(bench, absent),
         Person(bench),
         VirtualClock(),
         record,
@@ -120,11 +131,11 @@ def make_runner(bench, record, plan=PLAN, **options):
     )
 
 
-def new_record(tmp_path, name="run"):
+def new_record(tmp_path: Path, name: str = "run") -> Record:
     return Record.create(tmp_path / name, {}, {}, lambda: NOON)
 
 
-def recorded(folder):
+def recorded(folder: Path) -> tuple[History, list[str], list[dict[str, Any]]]:
     history = read_history(folder)
     assert history.problems == ()
     done = [e for e in history.events if e.type == "step_done" and "reading" in e.data]
