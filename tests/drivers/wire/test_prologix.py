@@ -19,6 +19,7 @@ from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.wires.prologix import AdapterSettings, GpibAdapter
 from tests.support.gpib_bus import ADDRESSES, IDENTITY, NO_ERROR, Bus, a_world, served
+from tests.support.patience import PATIENCE_S
 
 
 @contextmanager
@@ -250,7 +251,7 @@ def test_closing_ends_a_long_wait_of_another_thread() -> None:
 
         thread = threading.Thread(target=wait)
         thread.start()
-        begun.wait(5.0)
+        begun.wait(PATIENCE_S)
         wire.close()
-        thread.join(10.0)
+        thread.join(PATIENCE_S)
     assert len(ended) == 1
