@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Final
 from pydantic import field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import DURATION, QuantityKind, TemperatureC, not_negative
+from bench.base.units import QuantityKind, SpanS, TemperatureC, not_negative
 from bench.devices.device import DeviceSection, Role
 from bench.devices.wires import WiredForm
 
@@ -16,7 +16,6 @@ TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s"
 
 SizeK = Annotated[float, not_negative(DIFFERENCE)]
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
-_SpanS = Annotated[float, not_negative(DURATION)]
 
 OF_THE_AIR: Final = ("rate", "lag", "off_lag")
 """What the simulated world does with the air of any chamber that is simulated."""
@@ -29,8 +28,8 @@ class ChamberTruth(FileModel):
     """
 
     rate: RateKS = 4.0 / 60.0
-    lag: _SpanS = 120.0
-    off_lag: _SpanS = 3600.0
+    lag: SpanS = 120.0
+    off_lag: SpanS = 3600.0
     sensor_noise: SizeK = 0.0
 
     @field_validator("rate", "lag", "off_lag")

@@ -8,14 +8,12 @@ from typing import Annotated, Any, ClassVar, Final
 from pydantic import field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import ANGLE, DURATION, AngleRad, QuantityKind, not_negative
+from bench.base.units import AngleRad, QuantityKind, SizeRad, SpanS, not_negative
 from bench.devices.device import DeviceSection, Role
 from bench.devices.wires import WiredForm
 
 SPEED: Final = QuantityKind("a speed of turning", "10 deg/s", "rad/s")
 
-SizeRad = Annotated[float, not_negative(ANGLE)]
-SpanS = Annotated[float, not_negative(DURATION)]
 SpeedRadS = Annotated[float, not_negative(SPEED)]
 
 

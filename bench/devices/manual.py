@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import model_validator
 
-from bench.base.units import TemperatureC
+from bench.base.units import SizeRad, TemperatureC
 from bench.devices.chambers import ChamberForm
 from bench.devices.device import Device
-from bench.devices.heads import HeadForm, SizeRad
+from bench.devices.heads import HeadForm
 
 
 class ManualHeadSection(HeadForm):

@@ -6,9 +6,10 @@ from typing import Any, Final
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
+from bench.base.units import SizeRad
 from bench.devices.chambers import ChamberForm, SizeK
 from bench.devices.device import DeviceSection, Role
-from bench.devices.heads import HeadForm, SizeRad
+from bench.devices.heads import HeadForm
 from bench.devices.voltmeters import VoltmeterForm, VoltmeterKind
 from drivers.interfaces import BenchError, Channel
 

@@ -14,7 +14,17 @@ import pytest
 
 from bench.devices.registry import devices
 from drivers.chambers import ChamberLimits
-from drivers.interfaces import BenchError, Identity, InstrumentRefused, LimitExceeded, ThermalChamber
+from drivers.interfaces import (
+    BenchError,
+    Identity,
+    InstrumentLost,
+    InstrumentRefused,
+    LimitExceeded,
+    ThermalChamber,
+    VoltmeterSettings,
+)
+from drivers.keysight_34461a.driver import Keysight34461A
+from drivers.wire.replay import replayed
 from sim.wires.session import DROP, SILENCE, WireFault
 from tests.support.instrument_stand import written_bench
 from tests.support.scripted_session import ScriptedSession
@@ -33,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     blocks = re.findall(
         r"^```python\n# (\S+)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     for name, text in blocks:
         place = made / name if "/" in name else made.parent / name  # the test stands beside the folder
         place.parent.mkdir(exist_ok=True)
@@ -53,21 +63,31 @@ def page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         "ScriptedSession": ScriptedSession,
         "ChamberLimits": ChamberLimits,
         "Identity": Identity,
+        **{"Path": Path, "pytest": pytest, "replayed": replayed, "Keysight34461A": Keysight34461A},
+        **{"VoltmeterSettings": VoltmeterSettings, "InstrumentLost": InstrumentLost},
     }
-    text = (folder.parent / "test_frostline.py").read_text(encoding="utf-8")
-    exec(compile(text, str(PAGE), "exec"), names)  # noqa: S102 - our own page
+    for name in ("test_frostline.py", "test_session.py"):
+        text = (folder.parent / name).read_text(encoding="utf-8")
+        exec(compile(text, str(PAGE), "exec"), names)  # noqa: S102 - our own page
     return names
 
 
-def test_the_page_is_one_page_and_names_what_exists() -> None:
+def test_the_page_is_short_and_names_what_exists() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 180
+    assert len(text.splitlines()) <= 205
     for path in re.findall(r"`((?:bench|drivers|sim|tests)/[\w/]+\.py)`", text):
         assert (ROOT / path).is_file(), path
 
 
 def test_the_pages_own_test_passes(page: dict[str, Any]) -> None:
     page["test_a_temperature_is_set_and_proved"]()
+
+
+def test_the_pages_session_is_gone_through_again(
+    page: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    page["test_a_session_of_a_34461a"]()
 
 
 def test_the_driver_runs_against_the_simulated_chamber(page: dict[str, Any]) -> None:

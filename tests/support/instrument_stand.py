@@ -51,7 +51,8 @@ class Between:
         return getattr(self._dialect, name)
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        return self._dialect.handle(message, interrupted)
+        reply: bytes | None = self._dialect.handle(message, interrupted)
+        return reply
 
 
 def answering(reply: bytes) -> type[Between]:
@@ -77,7 +78,7 @@ def taking(wanted: str, instead: str) -> Callable[[Any], Between]:
 
     class Taking(Between):
         def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-            return self._dialect.handle(number.sub(instead.encode(), message), interrupted)
+            return super().handle(number.sub(instead.encode(), message), interrupted)
 
     return Taking
 
@@ -105,7 +106,9 @@ def bench_data(device: Device, **changes: Any) -> dict[str, Any]:
 
 def _next_resource(resource: str, further: int) -> str:
     """Return a resource with its last number but the port counted on."""
-    head, number, tail = re.fullmatch(r"(.*?)(\d+)(\D*(?:::\d+::SOCKET)?)", resource).groups()
+    match = re.fullmatch(r"(.*?)(\d+)(\D*(?:::\d+::SOCKET)?)", resource)
+    assert match is not None, resource
+    head, number, tail = match.groups()
     return f"{head}{int(number) + further}{tail}"
 
 

@@ -8,9 +8,9 @@ from pydantic import Field, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC
 from bench.base.forms import FileModel
-from bench.base.units import Ratio, ScaleFactor, TemperatureC, VoltageV
+from bench.base.units import Ratio, ScaleFactor, SizeRad, SpanS, TemperatureC, VoltageV
 from bench.devices.chambers import ChamberTruth
-from bench.devices.heads import HeadTruth, SizeRad, SpanS
+from bench.devices.heads import HeadTruth
 from bench.devices.voltmeters import VoltmeterTruth
 
 Row = Annotated[tuple[ScaleFactor, ...], Field(min_length=3, max_length=3)]
