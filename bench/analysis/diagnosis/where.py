@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,18 +38,6 @@ class Place:
     p: float
     p_local: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "channel": self.channel,
-            "installation": self.installation,
-            "pattern": self.pattern,
-            "size": self.size,
-            "unit": self.unit,
-            "p": self.p,
-            "p_local": self.p_local,
-        }
-
 
 @dataclass(frozen=True)
 class _Look:
@@ -69,7 +57,6 @@ def find_places(
     looks = _looks(linear)
     white = [grid.white[ratio] @ look.columns for look in looks]
     left = grid.white[ratio] @ linear.response
-    noise = sigma
     places: list[Place] = []
     basis = np.zeros((len(left), 0))
     while len(places) < MOST_PLACES:
@@ -81,7 +68,7 @@ def find_places(
             if not usable.all():
                 continue
             part = q.T @ left
-            statistic = float(part @ part) / len(part) / noise**2
+            statistic = float(part @ part) / len(part) / sigma**2
             p = float(special.fdtrc(len(part), freedom, statistic))
             # where p underflows the size of the statistic still orders
             if best is None or (p, -statistic) < best[0]:
