@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from bench.cli import CommandError
+from bench.api.errors import Refused
+from bench.cli import printing
 from bench.cli.options import (
     RUNS,
     BenchOption,
@@ -30,7 +31,7 @@ from bench.cli.options import (
 
 if TYPE_CHECKING:
     from bench.analysis.diagnosis.full import FullDiagnosis
-    from bench.cli.source import Request, Source
+    from bench.api.source import Request, Source
 
 THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Where the libraries of linear algebra look for the number of their threads."""
@@ -68,7 +69,7 @@ def diagnose(
     # many small matrices: the threads of a linear algebra library would wait for one another
     for name in THREADS:
         os.environ.setdefault(name, "1")
-    from bench.cli.source import Request
+    from bench.api.source import Request
 
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
     results = diagnosed(request, json, together=together, accept_first=accept_first, report=report)
@@ -84,11 +85,10 @@ def diagnosed(
     report: bool | None = None,
 ) -> list[FullDiagnosis]:
     """Diagnose the sources, each by itself or all `together`; print, write JSON to `target`, and return it."""
-    from bench.cli import printing
-    from bench.cli.source import check_places, check_target, load_sources, write_json
+    from bench.api.source import check_places, load_sources
     from bench.report.diagnosis.terminal import print_one, print_several
 
-    check_target(target)
+    printing.check_target(target)
     check_places(request)
     alone = together or len(request.sources) == 1
     if alone:
@@ -96,7 +96,7 @@ def diagnosed(
         results = [examined(body, accept_first=accept_first, report=report is not False)]
     else:
         results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
-    write_json([one.to_dict() for one in results], target)
+    printing.write_json([one.to_dict() for one in results], target)
     out = printing.console(json=target)
     if alone:
         print_one(results[0], out)
@@ -123,7 +123,7 @@ def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iter
 
 
 def _one_of_several(request: Request, name: str, *, accept_first: bool, report: bool) -> FullDiagnosis:
-    from bench.cli.source import load_sources
+    from bench.api.source import load_sources
 
     body = _body(load_sources(replace(request, sources=[name])))
     return examined(body, accept_first=accept_first, report=report)
@@ -152,8 +152,8 @@ class Body:
 
 
 def _body(sources: list[Source]) -> Body:
-    """Return the sources as one body of data. Raises `CommandError` where they are not of one bench."""
-    from bench.cli.source import data_sha256
+    """Return the sources as one body of data. Raises `Refused` where they are not of one bench."""
+    from bench.api.source import data_sha256
     from bench.readings.joined import JoinedPart, together
 
     hashes = tuple(data_sha256(source.readings) for source in sources)
@@ -165,7 +165,7 @@ def _body(sources: list[Source]) -> Body:
     try:
         readings = together([JoinedPart(source.readings, _began_s(source)) for source in sources])
     except ValueError as problem:
-        raise CommandError(f"--together: {problem}") from problem
+        raise Refused(f"--together: {problem}") from problem
     # a model that was found in any of the sources has seen a part of the whole
     model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
     name = " + ".join(source.name for source in sources)
@@ -186,7 +186,7 @@ def _require_same_bench(first: Source, other: Source) -> None:
     }
     different = [what for what, agrees in same.items() if not agrees]
     if different:
-        raise CommandError(
+        raise Refused(
             f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); say with "
             "--bench FILE which one holds for both"
         )
@@ -269,11 +269,10 @@ def _free_files(path: Path) -> Iterator[Path]:
 
 def _written_report(body: Body, full: FullDiagnosis) -> Path | None:
     """Write the page; None where it cannot be written beside the source and nobody said where else."""
-    from bench.cli.provenance import provenance
-    from bench.cli.source import write_beside
+    from bench.api.provenance import provenance
     from bench.report.diagnosis.page import render_diagnosis
 
     source, file = body.source, body.output(".html")
     title = f"Diagnosis of {source.block_name or source.name}"
     page = render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))
-    return file if write_beside(file, page, asked=source.request.out is not None) else None
+    return file if printing.write_beside(file, page, asked=source.request.out is not None) else None
