@@ -74,12 +74,12 @@ class BudgetResult:
 
 
 def budget(
-    bench: str | BenchFile | None = None,
+    bench: str | Path | BenchFile | None = None,
     procedure: str = "calibration",
     estimator: str = GLS,
     *,
-    model: Path | None = None,
-    coefficients: Path | None = None,
+    model: str | Path | None = None,
+    coefficients: str | Path | None = None,
     trials: int = 20_000,
     rule: str = "simple",
     limit: float | None = None,
@@ -97,7 +97,7 @@ def budget(
     estimator, rule = in_a_budget(estimator).name, rule_name(rule)
     if trials:
         _check_trials(trials)
-    taken = find_bench_file(bench)
+    taken = find_bench_file(str(bench) if isinstance(bench, Path) else bench)
     file = _with_gravity(taken, g)
     plan = load_procedure(find_procedure(procedure)).expand()
     block, about = _block(coefficients, file)
@@ -134,18 +134,18 @@ def _with_gravity(taken: BenchTaken, g_m_s2: float | None) -> BenchFile:
     return bench
 
 
-def _model(path: Path | None, bench: BenchFile) -> ForwardModel:
+def _model(path: str | Path | None, bench: BenchFile) -> ForwardModel:
     model = ForwardModel(bench.installation_models())
     if path is None:
         return model
-    file = load_model(path, model.installations)
+    file = load_model(Path(path), model.installations)
     return replace(model, effects=file.applied_effects(), name=file.name)
 
 
-def _block(coefficients: Path | None, bench: BenchFile) -> tuple[Block, str]:
+def _block(coefficients: str | Path | None, bench: BenchFile) -> tuple[Block, str]:
     """Return the block about which the budget is, and which one that is."""
     if coefficients is not None:
-        block = read_coefficients(coefficients, "V").block
+        block = read_coefficients(Path(coefficients), "V").block
         try:
             refuse_singular(block)
         except CalibrationError as error:

@@ -294,6 +294,8 @@ def verification_of(
         source = coefficients.source
     if isinstance(coefficients, CalibrationResult):
         own = coefficients.calibration
+        if own.unit != source.readings.unit:
+            raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
         taken = Coefficients(own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit)
     else:
         taken = read_coefficients(coefficients, source.readings.unit)

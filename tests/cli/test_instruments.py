@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from bench.assembly.served import dry_bench
 from bench.api import instruments as command
+from bench.assembly.served import dry_bench
 from bench.cli.app import main
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench

@@ -8,9 +8,10 @@ import pytest
 
 from bench.analysis.diagnosis import NamedEffect
 from bench.analysis.diagnosis.result import EffectValue
-from bench.base.numbers import fixed
-from bench.cli.diagnose import Body, examined
+from bench.api.diagnosis import Body
 from bench.api.source import Request, load_sources
+from bench.base.numbers import fixed
+from bench.cli.diagnose import examined
 from bench.readings.csv import write_csv
 from bench.report.diagnosis.words import effect_title, parameters_in_words, smallest_found, unit_in_print
 from tests.support.diagnosis_bench import paper_run
