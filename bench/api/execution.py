@@ -10,7 +10,6 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -24,11 +23,11 @@ from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Read
-from bench.readings.table import UNORIENTED
 from bench.run.control import ControlFile
+from bench.run.events import EventType
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.run.log import RunLog
-from bench.run.record import History, Record, RecordError, is_being_written
+from bench.run.record import History, Manifest, Record, RecordError, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner, Watch
 from bench.run.states import ENDED
@@ -44,7 +43,7 @@ class NewRun:
     """A run that may begin: its folder, what its manifest says, and the files that it is begun with."""
 
     folder: Path
-    manifest: dict[str, Any]
+    manifest: Manifest
     inputs: dict[str, bytes]
 
     def record(self, shield: Callable[[], AbstractContextManager[None]] | None = None) -> Record:
@@ -87,7 +86,7 @@ def new_run(
         inputs[MODEL] = model.read_bytes()
     name = checked_name(name or _free_name(plan.name, runs))
     unit = file.unit_under_test
-    manifest = {
+    manifest: Manifest = {
         "name": name,
         "created": utc_now().isoformat(),
         "dry_run": dry_run,
@@ -195,12 +194,8 @@ def _assembly(
     bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
     with bar:
         if run.simulated:
-            taken = [
-                event.data["reading"]
-                for event in (history.events if history else ())
-                if event.type == "step_done" and "reading" in event.data
-            ]
-            seed = int(run.manifest["seed"])
+            taken = [event.reading for event in (history.events if history else ()) if event.reading]
+            seed = run.manifest["seed"] or 0
             model = run.folder / MODEL
             truth = simulated_truth(bench, model if model.is_file() else None)
             with dry_bench(bench, truth, seed, wire, plan=run.plan, taken=taken) as assembly:
@@ -219,17 +214,12 @@ def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
         readings=readings,
     )
 
-    def look(reading: dict[str, Any]) -> list[dict[str, Any]]:
-        if reading["installation"] in UNORIENTED:
-            return []
-        return [sign.to_json() for sign in warning.take(reading)]
-
     for event in history.events if history else ():
-        if event.type == "remounted":
+        if event.type == EventType.REMOUNTED:
             warning.remounted()
-        if event.type == "step_done" and "reading" in event.data:
-            look(event.data["reading"])
-    return look
+        if (reading := event.reading) is not None:
+            warning.take(reading)
+    return warning.take
 
 
 def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
@@ -250,7 +240,7 @@ def _elapsed_s(history: History) -> float:
 
 
 def _recorded(run: Run) -> str:
-    done = sum(1 for e in Run(run.folder).history.events if e.type == "step_done" and "reading" in e.data)
+    done = sum(event.reading is not None for event in Run(run.folder).history.events)
     return f"{done} readings are kept in {run.folder}"
 
 

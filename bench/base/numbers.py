@@ -50,6 +50,11 @@ def scale_for(largest: float, unit: str) -> Scale:
     return Scale(prefix + printed, size)
 
 
+def finite_or_none(value: float) -> float | None:
+    """Return a number as JSON has it: null where it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
 def places(u: float) -> int:
     """Decimals that show two significant digits of `u`; negative where u is 100 or more."""
     if not math.isfinite(u) or u <= 0.0:

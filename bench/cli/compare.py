@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.history import Changes, Comparison, Drift, Snapshot
+    from bench.analysis.history.comparison import Changes, Comparison, Drift, Snapshot
     from bench.api.source import Request
 
 
@@ -53,7 +53,7 @@ def compare(
     runs: RunsOption = RUNS,
 ) -> int:
     """What changed between calibrations of one block: E_n, a joint test, drift."""
-    from bench.analysis import history
+    from bench.analysis.history import comparison
     from bench.api.source import Request
 
     printing.check_target(json)
@@ -61,7 +61,7 @@ def compare(
     snapshots = [snapshot for name in sources for snapshot in _snapshots(name, request)]
     if date:
         snapshots = _dated(snapshots, date)
-    result = history.compare(snapshots)
+    result = comparison.compare(snapshots)
     on = printing.console(json=json)
     _print(result, on)
     if out is not None:
@@ -72,7 +72,7 @@ def compare(
 
 def _snapshots(name: str, request: Request) -> list[Snapshot]:
     """Return the calibration of a run or readings file, or those in a result of `calibrate --json`."""
-    from bench.analysis.history import Snapshot
+    from bench.analysis.history.comparison import Snapshot
     from bench.api.calibration import calibration_of
     from bench.api.source import load_sources
     from bench.run.record import MANIFEST
@@ -110,7 +110,7 @@ def _from_json(path: Path) -> list[Snapshot]:
 
 
 def _from_result(data: Any, path: Path, number: int) -> Snapshot:
-    from bench.analysis.history import Snapshot
+    from bench.analysis.history.comparison import Snapshot
     from bench.api.coefficients import coefficients_of
 
     name = f"{path}, result {number}" if number else str(path)

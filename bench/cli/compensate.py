@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.analysis.calibration import Verification
-    from bench.analysis.temperature import CompensationTable, TemperatureModel
+    from bench.analysis.temperature.model import TemperatureModel
+    from bench.analysis.temperature.table import CompensationTable
     from bench.api.source import Source
 
 FITS_P = 0.01
@@ -58,7 +59,8 @@ def compensate(
     runs: RunsOption = RUNS,
 ) -> int:
     """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
-    from bench.analysis.temperature import make_table, temperature_model
+    from bench.analysis.temperature.estimate import temperature_model
+    from bench.analysis.temperature.table import make_table
     from bench.analysis.temperature.table_files import table_json
     from bench.api.calibration import verdict_line
     from bench.api.source import Request, load_sources

@@ -25,13 +25,13 @@ def import_(
     from bench.files.bench.file import load_bench
     from bench.readings.csv import read_csv
     from bench.run.folder import BENCH, IMPORTED, Run, checked_name
-    from bench.run.record import Record
+    from bench.run.record import Manifest, Record
     from drivers.clock import utc_now
 
     path = bench_path(bench)
     readings = read_csv(file, load_bench(path).installation_models())
     run = Run(runs / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
-    manifest = {
+    manifest: Manifest = {
         "name": run.name,
         "created": utc_now().isoformat(),
         "imported": str(file),

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.stability import AllanCurve, Averaging, NoiseTerms, ReadingAdvice, StaticRecord
+    from bench.analysis.stability.advice import Averaging, ReadingAdvice
+    from bench.analysis.stability.allan import AllanCurve
+    from bench.analysis.stability.noise_terms import NoiseTerms
+    from bench.analysis.stability.static_record import StaticRecord
     from bench.files.bench.file import BenchFile
 
 AXES = "xyz"
@@ -92,7 +95,7 @@ def _bench_of(record: str, runs: Path, bench: str | None) -> BenchFile:
 
 def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, float | None]:
     """Return the record, and how long each sample integrated where a run tells it."""
-    from bench.analysis.stability import from_columns, read_static
+    from bench.analysis.stability.static_record import from_columns, read_static
     from bench.procedure.plan import Read
     from bench.run.folder import find_run
 
@@ -116,7 +119,9 @@ def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, floa
 
 def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integration_s: float) -> _Findings:
     from bench.analysis.calibration import CalibrationError
-    from bench.analysis.stability import allan_curve, averaging, fit_terms, reading_advice
+    from bench.analysis.stability.advice import averaging, reading_advice
+    from bench.analysis.stability.allan import allan_curve
+    from bench.analysis.stability.noise_terms import fit_terms
 
     curves = [allan_curve(record.signal[:, i], record.interval_s) for i in range(3)]
     terms = [fit_terms(curve) for curve in curves]
@@ -192,7 +197,7 @@ def _print(record: StaticRecord, found: _Findings, bench: BenchFile, out: Consol
 
 def _table(record: StaticRecord, found: _Findings) -> Table:
     """A column for each channel: mean, drift, the noise terms with u or what they are below, the averaging."""
-    from bench.analysis.stability import TERMS
+    from bench.analysis.stability.noise_terms import TERMS
 
     unit = record.unit
     table = printing.table("", *(f">{axis}" for axis in AXES))
@@ -210,7 +215,7 @@ def _signed(value: float, unit: str) -> str:
 
 
 def _shown(terms: NoiseTerms, k: int, unit: str) -> str:
-    from bench.analysis.stability import TERMS
+    from bench.analysis.stability.noise_terms import TERMS
 
     if terms.shown[k]:
         share = terms.u[k] / terms.values[k]

@@ -130,8 +130,8 @@ def with_references(table, *stated):
     longer["installation"] = np.append(table.installation, ["R", "R"])
     longer["angle_rad"][-2:] = np.nan
     longer["signal"][-2:] = [[2.0] * 3, [-2.0] * 3]
-    told = np.array([""] * len(table) + list(stated))
-    return replace(table, **longer, extra={"reference_v": told})
+    voltages = np.array([""] * len(table) + list(stated))
+    return replace(table, **longer, extra={"reference_v": voltages})
 
 
 def test_a_reference_whose_value_nobody_stated_shows_no_gain():
