@@ -35,9 +35,23 @@ CTRL_C = 130
 """What the command-line library makes of a Ctrl-C."""
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        from importlib import metadata
+
+        print(f"bench {metadata.version('triaxial-bench')}")
+        raise typer.Exit
+
+
 @app.callback()
 def _common(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the program's version.", is_eager=True, callback=_print_version
+        ),
+    ] = False,
 ) -> None:
     """Calibrates triaxial accelerometer blocks on a dividing head."""
 
@@ -309,7 +323,7 @@ def init(folder: Annotated[Path, typer.Argument(help="Folder to write into.")] =
 
 
 # imported here so that its commands stand after those above in the help
-import bench.cli.diagnose_options  # noqa: E402
+import bench.cli.diagnose  # noqa: E402
 import bench.cli.history_options  # noqa: E402
 import bench.cli.uncertainty_options  # noqa: E402, F401
 

@@ -143,7 +143,7 @@ class _Stage:
         table = Oriented.of(readings)
         problem = make_problem(self.model, readings.oriented().conditions(), self.stand_u)
         block, sheet = self.gross.first_guess(table)
-        floor = noise_floor(problem, table.signal, readings.resolution)
+        floor = noise_floor(table.signal, readings.resolution, problem.free)
         return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
 
 
