@@ -11,7 +11,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.interfaces import (
@@ -68,11 +68,19 @@ class ProvenSetting:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a model can do: ranges in volts, integration in power-line cycles, samples in one reading."""
+    """What a model can do: ranges in volts, integration in power-line cycles, samples in one reading.
+
+    A driver's module states them once: what a bench file and a procedure may ask is held against the same ones.
+    """
 
     ranges_v: tuple[float, ...]
     nplc: tuple[float, ...]
     most_samples: int
+    least_samples: int = 1
+
+    def of_channels(self, count: int) -> Limits:
+        """Return the limits of a reading of so many channels, whose samples share the memory."""
+        return replace(self, most_samples=self.most_samples // count)
 
     def transgressions(self, settings: VoltmeterSettings) -> list[str]:
         """Return what of the settings the model cannot do, one phrase for each."""
@@ -81,8 +89,9 @@ class Limits:
             wrong.append(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)")
         if settings.nplc not in self.nplc:
             wrong.append(f"an integration of {settings.nplc:g} NPLC (it has {_listed(self.nplc)})")
-        if not 1 <= settings.samples <= self.most_samples:
-            wrong.append(f"{settings.samples} samples (its memory holds 1 to {self.most_samples})")
+        if not self.least_samples <= settings.samples <= self.most_samples:
+            held = f"{self.least_samples} to {self.most_samples}"
+            wrong.append(f"{settings.samples} samples (its memory holds {held})")
         return wrong
 
 

@@ -38,7 +38,7 @@ _EXPECTED: Final = {
 }
 
 
-def told_errors(
+def explained(
     error: ValidationError, model: type[BaseModel], lines: Mapping[Place, int]
 ) -> Iterator[tuple[Place, str]]:
     """Yield the place and the sentence of each error; `lines` says which places were written.
@@ -136,6 +136,7 @@ def _keys(annotation: Any, location: tuple[int | str, ...]) -> set[str]:
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
     """Yield the models that an annotation can hold: itself, alternatives, members of lists and mappings."""
     if isinstance(annotation, type) and not get_args(annotation) and issubclass(annotation, BaseModel):
+        annotation.model_rebuild()  # names of models that its file defines further down become those models
         yield annotation
     elif get_origin(annotation) is Annotated:
         yield from _models(get_args(annotation)[0])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Final
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
 app = typer.Typer(
     name="bench",
@@ -16,6 +17,24 @@ app = typer.Typer(
     help="Calibrates triaxial accelerometer blocks on a dividing head.",
     epilog="Exit status: 0 done and accepted, 1 done and not accepted, 2 could not be done.",
 )
+
+ESTIMATORS_TOLD: Final = "The estimators."
+ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
+"""Help texts that `WithEstimators` replaces by the names there are."""
+
+
+class WithEstimators(TyperCommand):
+    """A command whose help names the estimators; they are looked up where it is shown, as that takes a second."""
+
+    def get_help(self, ctx: Any) -> str:
+        """Return the help."""
+        from bench.analysis.calibration.estimators import estimators_in_words
+
+        for option in self.params:
+            if isinstance(option, TyperOption) and option.help in {ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET}:
+                option.help = estimators_in_words(budget=option.help == ESTIMATORS_IN_A_BUDGET)
+        return super().get_help(ctx)
+
 
 BenchOption = Annotated[
     str | None,
@@ -48,6 +67,11 @@ RuleOption = Annotated[
         "--rule", metavar="RULE", help="simple: |Δg| within the limit (default); guarded: |Δg| + U within it."
     ),
 ]
+LimitOption = Annotated[float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")]
+ProcedureOption = Annotated[
+    str, typer.Option("--procedure", metavar="FILE", help="Procedure, by path or shipped name.")
+]
+EstimatorOption = Annotated[str, typer.Option(help=ESTIMATORS_IN_A_BUDGET)]
 Sources = Annotated[
     list[str], typer.Argument(metavar="SOURCE…", help="Runs (name or path) or readings files.")
 ]

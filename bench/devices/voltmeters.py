@@ -19,21 +19,23 @@ from bench.devices.wires import (
     meter_resource,
     usual_baud_rate,
 )
+from drivers.agilent_34401a.driver import DIALECT_34401A
 from drivers.interfaces import Channel
+from drivers.keysight_34461a.driver import DIALECTS
+from drivers.keysight_34970a import driver as keysight_34970a
+from drivers.scpi_voltmeter import Limits
 
 
 @dataclass(frozen=True)
 class VoltmeterKind:
-    """What voltmeters of a driver can do: ranges, integration times, readings that the memory holds.
+    """What voltmeters of a driver can do: the driver's limits for one channel, and what no driver need know.
 
     `baud_rates` are those of its serial port, none where it has no such port. `accuracy` gives for each range
     the limits of error of DC volts within 90 days at 23 ± 5 °C, parts of the reading and of the range;
     `linearity` the limits of its converter's integral nonlinearity alike.
     """
 
-    ranges_v: tuple[float, ...]
-    nplc: tuple[float, ...]
-    memory_readings: int
+    limits: Limits
     baud_rates: tuple[int, ...] = ()
     accuracy: Mapping[float, tuple[float, float]] = field(default_factory=lambda: _ACCURACY_90_DAYS)
     linearity: tuple[float, float] = (2e-6, 1e-6)
@@ -46,16 +48,9 @@ _ACCURACY_90_DAYS: Final[Mapping[float, tuple[float, float]]] = {
 """The same for the three kinds: 34401A User's Guide, chapter 8; 34461A and 34970A data sheets."""
 
 VOLTMETERS: Final = {
-    "agilent-34401a": VoltmeterKind(
-        (0.1, 1.0, 10.0, 100.0, 1000.0), (0.02, 0.2, 1.0, 10.0, 100.0), 512, BAUD_RATES[:6]
-    ),
-    "keysight-34461a": VoltmeterKind((0.1, 1.0, 10.0, 100.0, 1000.0), (0.02, 0.2, 1.0, 10.0, 100.0), 10_000),
-    "keysight-34970a": VoltmeterKind(
-        (0.1, 1.0, 10.0, 100.0, 300.0),
-        (0.02, 0.2, 1.0, 2.0, 10.0, 20.0, 100.0, 200.0),
-        50_000,
-        BAUD_RATES[2:],
-    ),
+    "agilent-34401a": VoltmeterKind(DIALECT_34401A.limits, BAUD_RATES[:6]),
+    "keysight-34461a": VoltmeterKind(DIALECTS["34461A"].limits),
+    "keysight-34970a": VoltmeterKind(keysight_34970a.LIMITS, BAUD_RATES[2:]),
 }
 """By the name of the driver. Sources: the user's guides that the drivers name."""
 
@@ -95,8 +90,8 @@ class VoltmeterForm(WiredForm):
     @classmethod
     def _of_the_meter(cls, range_v: float, info: ValidationInfo) -> float:
         driver = info.data.get("driver")
-        if driver is not None and range_v not in VOLTMETERS[driver].ranges_v:
-            listed = ", ".join(f"{r:g} V" for r in VOLTMETERS[driver].ranges_v)
+        if driver is not None and range_v not in VOLTMETERS[driver].limits.ranges_v:
+            listed = ", ".join(f"{r:g} V" for r in VOLTMETERS[driver].limits.ranges_v)
             raise ValueError(f"the {driver} has the ranges {listed}, not {range_v:g} V")
         return range_v
 

@@ -29,12 +29,15 @@ def _truevolt(memory_samples: int) -> SingleChannelDialect:
     )
 
 
+DIALECTS: Final = {model: _truevolt(samples) for model, samples in MEMORY_SAMPLES.items()} | {
+    "34401A": DIALECT_34401A
+}
+
+
 class Keysight34461A(Agilent34401A):
     """A `Voltmeter` with one signal. `interface` is "lan" (also for USB) or "gpib": it has no RS-232."""
 
-    dialects = {model: _truevolt(samples) for model, samples in MEMORY_SAMPLES.items()} | {
-        "34401A": DIALECT_34401A
-    }
+    dialects = DIALECTS
     _called = "a 34460A, 34461A, 34465A or 34470A, nor one that emulates a 34401A"
     _hint = "the meter's own is under Utility, I/O Config"
 

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 RANGES_V: Final = (0.1, 1.0, 10.0, 100.0, 300.0)
 NPLC: Final = (0.02, 0.2, 1.0, 2.0, 10.0, 20.0, 100.0, 200.0)
 MEMORY_READINGS: Final = 50_000
+LIMITS: Final = Limits(RANGES_V, NPLC, MEMORY_READINGS)
+"""Those of one channel."""
 LONGEST_DELAY_S: Final = 60.0
 
 _MODELS: Final = ("34970A", "34972A")
@@ -74,7 +76,7 @@ class Keysight34970A(ScpiVoltmeter):
         super().__init__(name, signals, session, clock, interface=interface, line_hz=line_hz)
         self._numbers = tuple(number for _, number in pairs)
         self._channel_delay_s = channel_delay_s
-        self._limits = Limits(RANGES_V, NPLC, MEMORY_READINGS // len(pairs))
+        self._limits = LIMITS.of_channels(len(pairs))
 
     @property
     def limits(self) -> Limits:

@@ -17,9 +17,11 @@ class WireLog:
     r"""A wire log as a `drivers.wire.visa.MessageSession` takes it; safe to use from several threads.
 
     A line is the time (UTC), the instrument, `>` (sent) or `<` (received), and the text, its control
-    characters escaped:
+    characters escaped; where the wire failed, `!`, when it did (`connecting`, `before sending` anything,
+    `after sending`) and the error:
 
         2026-11-21T09:15:41.123456+00:00 voltmeter.x > *IDN?
+        2026-11-21T09:15:44.123456+00:00 voltmeter.x ! after sending: InstrumentLost: … did not answer …; check …
 
     A file that is there is added to. Each line is with the system before the message goes on. Where one cannot
     be written (a full disk), a note on standard error says so, the log ends there, and the run goes on. Raises

@@ -21,10 +21,17 @@ from drivers.wire.pyvisa_connection import Connection, SerialSettings
 __all__ = ["MessageSession", "SerialSettings", "Wire"]
 
 Wire = Callable[[str, str, str], None]
-"""A wire log: called with the instrument's name, ">" (sent) or "<" (received), the text; must not raise."""
+"""A wire log: called with the instrument's name, ">" (sent), "<" (received) or "!" (failed), the text.
+
+It must not raise."""
 
 PRINTABLE: Final = r"[\x20-\x7e]+"
 """The form of a reply for which no pattern is given: one line of printable ASCII."""
+
+CONNECTING: Final = "connecting"
+BEFORE_SENDING: Final = "before sending"
+AFTER_SENDING: Final = "after sending"
+"""When it failed, as the wire log has it."""
 
 _MAX_REPLY_BYTES: Final = 1 << 20
 
@@ -79,8 +86,7 @@ class MessageSession:
         with self._lock:
             self._wanted = True
             if self._connection is not None and not self._stands():
-                self._desynchronised = True
-                self._drop()
+                self._give_up()
             self._connected()
 
     def close(self) -> None:
@@ -124,13 +130,16 @@ class MessageSession:
         with self._exchange(command) as connection:
             self._send(connection, command)
             reply = self._receive(connection, command, allowed_s)
-            if re.fullmatch(pattern or PRINTABLE, reply) is None:
-                raise BadReading(
-                    self.name,
-                    f"the reply to {command} is {_shown(reply)}, not {expected}",
-                    "take it again, and check cable and terminations if it comes again",
-                )
-            return reply
+            fits = re.fullmatch(pattern or PRINTABLE, reply) is not None
+            if not fits:  # the wire itself did not fail, and its log does not say so
+                self._give_up()
+        if not fits:
+            raise BadReading(
+                self.name,
+                f"the reply to {command} is {_shown(reply)}, not {expected}",
+                "take it again, and check cable and terminations if it comes again",
+            )
+        return reply
 
     @contextlib.contextmanager
     def _exchange(self, command: str) -> Iterator[Connection | AdapterConnection]:
@@ -141,15 +150,17 @@ class MessageSession:
                     self.name, f"{self.resource} is not open, {command} was not sent", "open it first"
                 )
             connection = self._connected()
+            when = BEFORE_SENDING
             try:
                 self._refuse_leftovers(connection, command)
+                when = AFTER_SENDING
                 yield connection
             except BaseException as error:  # Ctrl-C in an exchange leaves a reply behind as well
-                self._desynchronised = True
-                self._drop()
-                if isinstance(error, BenchError) or not isinstance(error, Exception):
+                self._give_up()
+                failure = self._failed(when, error, f" at {command}")
+                if failure is error:
                     raise
-                raise self._lost(error, f" at {command}") from error
+                raise failure from error
 
     def _connected(self) -> Connection | AdapterConnection:
         """Return the connection, made and proved if there is none."""
@@ -159,9 +170,10 @@ class MessageSession:
                 if self._desynchronised:
                     self._resynchronise(connection)
             except Exception as error:
-                if isinstance(error, BenchError):
+                failure = self._failed(CONNECTING, error)
+                if failure is error:
                     raise
-                raise self._lost(error) from error
+                raise failure from error
             self._desynchronised = False
             self._count += 1
             self._connection = connection
@@ -201,14 +213,23 @@ class MessageSession:
                 "switch the instrument off and on and start again",
             )
 
+    def _give_up(self) -> None:
+        self._desynchronised = True
+        self._drop()
+
     def _drop(self) -> None:
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
 
-    def _lost(self, error: Exception, at: str = "") -> InstrumentLost:
-        cause, remedy = probable_cause(error)
-        return InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
+    def _failed(self, when: str, error: BaseException, at: str = "") -> BaseException:
+        """Log what failed, and when; return it as one of our errors if it is a foreign `Exception`."""
+        if isinstance(error, Exception) and not isinstance(error, BenchError):
+            cause, remedy = probable_cause(error)
+            error = InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
+        why = f": {error.cause}; {error.remedy}" if isinstance(error, BenchError) else ""
+        self._log("!", f"{when}: {type(error).__name__}{why}")
+        return error
 
     def _send(self, connection: Connection | AdapterConnection, command: str) -> None:
         self._log(">", command)

@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from drivers.clock import Clock, SystemClock
-from sim.wires.session import DROP, SILENCE, WireFault
+from sim.wires.session import DROP, SILENCE, LineEnds, WireFault, line_ends_of
 from sim.world.world import keyed_generator
 
 if TYPE_CHECKING:
@@ -254,6 +254,11 @@ class FaultyInstrument:
     def faults(self) -> tuple[Fault, ...]:
         """The faults that are armed."""
         return tuple(armed.fault for armed in self._armed)
+
+    @property
+    def line_ends(self) -> LineEnds:
+        """How the lines of the instrument end."""
+        return line_ends_of(self.dialect)
 
     def can_have(self, fault: Fault) -> bool:
         """Whether the instrument has what the fault needs."""

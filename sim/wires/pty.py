@@ -29,7 +29,7 @@ _JOIN_S: Final = 5.0
 
 
 class TerminalTransport:
-    """The instrument's end of a pseudo-terminal until it is closed; replies end in CR LF.
+    """The instrument's end of a pseudo-terminal until it is closed; replies end in CR LF, if in nothing else.
 
     The terminal itself outlives it: `close` only ends the waiting of this transport, for good.
     """

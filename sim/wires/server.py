@@ -22,7 +22,7 @@ _JOIN_S: Final = 5.0
 
 
 class TcpTransport:
-    """One accepted connection. Replies end in LF, and small packets leave at once both ways."""
+    """One accepted connection. Replies end in LF, if in nothing else, and small packets leave at once both ways."""
 
     terminator = TERMINATOR
 

@@ -6,11 +6,12 @@ them. An `ServedInstrument` is a dialect as all its wires share it, a `Session` 
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from drivers.clock import Clock, SystemClock
 from sim.wires.traffic import Doing, Traffic
@@ -25,8 +26,23 @@ _INPUT_BUFFER: Final = 65536
 _LATE_SLICE_S: Final = 0.02
 
 
+@dataclass(frozen=True)
+class LineEnds:
+    """How the lines of an instrument end: each of `messages` ends a message, `reply` is sent after each reply.
+
+    Where `reply` is None the wire has its own. A CR before an LF that ends a message is dropped; of the bytes
+    around other ends none is.
+    """
+
+    messages: tuple[bytes, ...] = (TERMINATOR,)
+    reply: bytes | None = None
+
+
 class Dialect(Protocol):
-    """An instrument as the wire sees it: messages in, reply lines out, both without terminators."""
+    """An instrument as the wire sees it: messages in, reply lines out, both without terminators.
+
+    One whose lines end otherwise than in LF says so (`HasLineEnds`).
+    """
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Carry out a message; return the reply, None if there is none.
@@ -44,8 +60,26 @@ class Dialect(Protocol):
         ...
 
 
+@runtime_checkable
+class HasLineEnds(Protocol):
+    """A dialect that says how its lines end, on whatever wire."""
+
+    @property
+    def line_ends(self) -> LineEnds:
+        """How they end."""
+        ...
+
+
+def line_ends_of(dialect: Dialect) -> LineEnds:
+    """Return what a dialect says of its lines, else that messages end in LF and replies as the wire has it."""
+    return dialect.line_ends if isinstance(dialect, HasLineEnds) else LineEnds()
+
+
 class Transport(Protocol):
-    """One client's wire. `terminator` ends each reply on it. Any method may raise `OSError`."""
+    """One client's wire. `terminator` ends each reply where the dialect says nothing.
+
+    Any method may raise `OSError`.
+    """
 
     terminator: bytes
 
@@ -117,9 +151,11 @@ class Overflow:
 
 
 class Framer:
-    """Cuts messages at LF, a CR before it dropped. A device clear discards what came before it."""
+    """Cuts messages at one of `ends`, a CR before LF dropped. A device clear discards what came before it."""
 
-    def __init__(self) -> None:
+    def __init__(self, ends: tuple[bytes, ...] = (TERMINATOR,)) -> None:
+        longest_first = sorted(ends, key=len, reverse=True)
+        self._end = re.compile(b"|".join(map(re.escape, longest_first)))
         self._buffer = bytearray()
         self._too_long = False
 
@@ -139,17 +175,17 @@ class Framer:
             self._buffer = after
             self._too_long = False
             return DEVICE_CLEAR
-        line, end, rest = self._buffer.partition(TERMINATOR)
-        if not end:
+        end = self._end.search(self._buffer)
+        if end is None:
             if len(self._buffer) > _INPUT_BUFFER:
                 self._buffer.clear()
                 self._too_long = True
             return None
-        self._buffer = rest
+        line, self._buffer = self._buffer[: end.start()], self._buffer[end.end() :]
         if self._too_long or len(line) > _INPUT_BUFFER:
             self._too_long = False
             return Overflow()
-        return bytes(line.removesuffix(b"\r"))
+        return bytes(line.removesuffix(b"\r") if end[0] == TERMINATOR else line)
 
 
 class ServedInstrument:
@@ -228,7 +264,9 @@ class Session:
         self._traffic = instrument.traffic
         self._on_refuse = on_refuse
         self._clock = clock or SystemClock()
-        self._framer = Framer()
+        ends = line_ends_of(instrument.dialect)
+        self._framer = Framer(ends.messages)
+        self._terminator = transport.terminator if ends.reply is None else ends.reply
 
     def has_work(self) -> bool:
         """Whether this session works, or has input to work on. The input is looked at first: see `run`."""
@@ -281,10 +319,10 @@ class Session:
     def _answer(self, reply: bytes | None, fault: WireFault | None) -> bool:
         if fault is None:
             if reply is not None:
-                self._transport.send(reply + self._transport.terminator, self._interrupted)
+                self._transport.send(reply + self._terminator, self._interrupted)
             return True
         if self._in_time(fault.delay_s):
-            data = fault.raw + b"".join(line + self._transport.terminator for line in fault.lines)
+            data = fault.raw + b"".join(line + self._terminator for line in fault.lines)
             if data:
                 self._transport.send(data, self._interrupted)
         if fault.refuse:

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.files.shipped import find_bench
+from bench.model.effects import CATALOGUE
 from bench.run.folder import Run
 
 LOOKING_BACK = """\
@@ -79,3 +81,32 @@ def test_the_model_that_a_dry_run_obeyed_is_found_by_a_fit(bench):
     for name, value in true.items():
         assert found[name]["value"] == pytest.approx(value, abs=4 * found[name]["u"]), name
         assert abs(value) > 8 * found[name]["u"], name
+
+
+def test_a_run_is_evaluated_when_an_effect_of_its_simulation_is_known_no_more(bench, monkeypatch):
+    """What only the simulation needed may go; whatever simulates with it, or is told to fit it, refuses it."""
+    text = find_bench("paper-stand").read_text(encoding="utf-8")
+    text += "effects:\n  - {name: backlash, parameters: {play: 8 arcsec}}\n"
+    Path("b.yaml").write_text(text, encoding="utf-8")
+    simulated = ("run", "quick", "--bench", "b.yaml", "--dry-run")
+    assert bench(*simulated, "--name", "r")[0] in {0, 1}
+    evaluations = [(name, "r", "--json", "-") for name in ("calibrate", "verify", "diagnose")]
+    before = [bench(*arguments)[:2] for arguments in evaluations]
+
+    monkeypatch.delitem(CATALOGUE, "backlash")
+    after = [bench(*arguments) for arguments in evaluations]
+    assert [told[:2] for told in after[:2]] == before[:2]
+    assert after[2][0] == before[2][0], after[2][2]
+    assert bench("report", "r")[0] == before[1][0]
+    Path("m.yaml").write_text(
+        "model_file: 1\nname: m\neffects:\n  - {name: backlash, parameters: {}}\n", encoding="utf-8"
+    )
+    for arguments in (
+        (*simulated, "--name", "again"),
+        ("check", "quick", "--bench", "b.yaml"),
+        ("simulate", "--bench", "b.yaml"),
+        ("calibrate", "r", "--bench", "b.yaml"),
+        ("calibrate", "r", "--model", "m.yaml"),
+    ):
+        status, _, err = bench(*arguments)
+        assert (status, "unknown effect 'backlash'" in err) == (2, True), (arguments, err)

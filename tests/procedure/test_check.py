@@ -2,6 +2,7 @@
 
 import json
 from collections import namedtuple
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,19 @@ from hypothesis import strategies as st
 
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.assumptions import require_rank
-from bench.cli import check as command
+from bench.api import outlook as command
+from bench.assembly.served import dry_bench
 from bench.cli.app import main
+from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
+from bench.model import ForwardModel
 from bench.procedure.check import disk_needed_bytes, operator_actions, undetermined
 from bench.procedure.listing import listing
 from bench.procedure.load import load_procedure
 from bench.procedure.plan import Mount, Plan, Read, Turn, Wait
+from drivers.agilent_34401a.driver import Agilent34401A
+from drivers.interfaces import VoltmeterSettings
 from tests.support.procedure_texts import HEAD, load_steps
 
 SHIPPED = find_bench("paper-stand")
@@ -116,6 +122,32 @@ def test_every_problem_is_told_at_once_and_the_status_says_so(bench):
     assert len(told) == 5
     assert "a dry run refuses it: step 0002/ask: the prompt 'Supply voltage' has no default" in out
     assert "try it" not in out
+
+
+def test_fewer_samples_than_a_voltmeter_takes_are_refused_as_its_driver_would(bench, monkeypatch):
+    kind = VOLTMETERS["agilent-34401a"]
+    limits = replace(kind.limits, least_samples=2)
+    monkeypatch.setitem(VOLTMETERS, "agilent-34401a", replace(kind, limits=limits))
+    monkeypatch.setattr(Agilent34401A, "limits", limits)
+    quick = find_procedure("quick").read_text(encoding="utf-8")
+    for samples, status in ((1, 1), (2, 0)):
+        Path("p.yaml").write_text(quick.replace("samples: 5", f"samples: {samples}"), encoding="utf-8")
+        checked, out, err = bench("check", "p.yaml")
+        assert checked == status, (samples, out, err)
+        assert (f"{samples} samples are fewer than the 2 that a voltmeter takes" in out + err) == bool(status)
+        assert bool(limits.transgressions(VoltmeterSettings(10.0, 10.0, samples))) == bool(status)
+    settling = quick.replace("settle: 5 s", "settle: {precision: 1 mV, window: 5 s, timeout: 1 min}")
+    Path("p.yaml").write_text(settling, encoding="utf-8")
+    assert bench("run", "p.yaml", "--dry-run", "--name", "settled")[0] == 0
+
+
+@pytest.mark.parametrize("name", ["paper-stand", "bench-lan", "bench-multiplexer"])
+def test_the_limits_of_a_bench_file_are_its_drivers_own(name):
+    file = load_bench(find_bench(name))
+    with dry_bench(file, ForwardModel(file.installation_models()), 1) as assembly:
+        meters = zip(assembly.instruments.voltmeters, file.instruments.voltmeters, strict=True)
+        for meter, section in meters:
+            assert meter.limits == VOLTMETERS[section.driver].limits.of_channels(len(section.channels))
 
 
 def test_a_prompt_without_default_is_no_mistake_but_a_dry_run_is_not_offered(bench):

@@ -146,6 +146,26 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes):
         assert any(mistake.startswith(start) for mistake in told), (start, told)
 
 
+def test_an_unknown_key_of_nested_steps_is_told_with_the_known_ones(mistakes):
+    told = mistakes(
+        """\
+  - installation:
+      label: 1
+      steps:
+        - turn: {angels: [0 deg]}
+        - repeat: {times: 2, steps: [{turn: {angles: [0 deg], steps: [{reed: {}}]}}]}
+  - temperatures: {at: [20 degC], steps: [{input: {source: short, steps: [{wait: {fore: 1 h}}]}}]}
+"""
+    )
+    for end in (
+        "angels: unknown key 'angels'; did you mean 'angles'? known: angles, direction, first_point, steps",
+        "reed: unknown key 'reed'; did you mean 'read'? known: include, input, installation, prompt, read, "
+        "repeat, settle, temperature, temperatures, turn, wait",
+        "fore: unknown key 'fore'; did you mean 'for'? known: for, reason",
+    ):
+        assert any(mistake.endswith(end) for mistake in told), (end, told)
+
+
 def test_reading_a_point_twice_is_a_mistake_told_once(mistakes):
     told = mistakes(
         """\

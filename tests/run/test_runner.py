@@ -6,7 +6,7 @@ import dataclasses
 import pytest
 
 from bench.procedure.plan import OnFailure, Plan, SetTemperature
-from bench.run.folder import readings_of
+from bench.readings.reading import Reading, readings_of
 from bench.run.record import Record, RecordError
 from bench.run.resume import Progress, resume_point
 from bench.run.workbench import Instruments
@@ -38,7 +38,7 @@ def test_a_run_records_every_step_and_closes_the_bench(tmp_path):
     assert history.state == "finished"
     assert set(bench.closed) == ALL
     assert [e.data["key"] for e in history.events if e.type == "step_done"] == [s.key for s in PLAN.steps]
-    table = readings_of(rows, "run")
+    table = readings_of([Reading.from_json(row) for row in rows], "run")
     assert table.signal.tolist() == [[1.5, 1.5, 1.5]] * 6
     assert table.angle_rad == pytest.approx([p * 0.5 + 1e-5 for p in (1, 2, 3)] * 2, abs=1e-11)
     assert history.events[0].data["instruments"]["voltmeter.x"] == "HEWLETT-PACKARD 34401A"

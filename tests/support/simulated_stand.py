@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1
-from drivers.wire.visa import MessageSession
+from drivers.wire.visa import MessageSession, Wire
 from sim.wires.server import TcpServer
 from sim.wires.session import Dialect, FaultHook, ServedInstrument
 from sim.wires.traffic import Traffic
@@ -35,8 +35,9 @@ def served(
     fault: FaultHook | None = None,
     timeout_s: float = 2.0,
     log: list[tuple[str, str]] | None = None,
+    wire: Wire | None = None,
 ) -> Iterator[MessageSession]:
-    """Serve a dialect; yield the session that a driver talks through. `log` takes what is on the wire.
+    """Serve a dialect; yield the session that a driver talks through. `log` or `wire` takes what is on the wire.
 
     The world's clock waits, before it moves, until what is on the wire has been carried out.
     """
@@ -44,7 +45,8 @@ def served(
     assert isinstance(clock, VirtualClock)
     traffic = Traffic()
     clock.before_advance = traffic.settle
-    wire = None if log is None else lambda _, way, text: log.append((way, text))
+    if log is not None:
+        wire = lambda _, way, text: log.append((way, text))  # noqa: E731
     with TcpServer(ServedInstrument(dialect, traffic, fault)) as server:
         session = MessageSession(
             name,

@@ -20,7 +20,9 @@ from bench.analysis.budget.propagation import (
 )
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import ErrorSource, influences, sizes_by_name
+from bench.analysis.calibration.estimators import GLS
 from bench.base.arrays import Floats
+from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS
 
 
@@ -37,14 +39,12 @@ class Contribution:
     @property
     def covariance(self) -> Floats:
         """Covariance of the coefficients from this source alone, shape (12, 12)."""
-        matrix: Floats = self.parts @ self.parts.T
-        return matrix
+        return self.parts @ self.parts.T
 
     @property
     def u(self) -> Floats:
         """Standard uncertainties from this source alone, shape (12,), V/g and V."""
-        root: Floats = np.sqrt(np.sum(self.parts**2, axis=1))
-        return root
+        return np.asarray(np.sqrt(np.sum(self.parts**2, axis=1)))
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Budget:
                 name: {
                     "value": float(total.value[i]),
                     "u": float(total.u[i]),
-                    "dof": number(total.dof[i]),
+                    "dof": finite_or_none(total.dof[i]),
                     "k": float(factor[i]),
                     "U": float(factor[i] * total.u[i]),
                     "by_source": {c.source.name: float(c.u[i]) for c in self.contributions},
@@ -121,11 +121,11 @@ class Budget:
 def make_budget(
     setup: Setup,
     sources: Sequence[ErrorSource],
-    estimator: str = "gls",
+    estimator: str = GLS,
     stated: Mapping[str, float] | None = None,
     probability: float = COVERAGE,
 ) -> Budget:
-    """Return the budget of an estimator. `estimator` is gls, closed-form or ols.
+    """Return the budget of an estimator, one of `bench.analysis.calibration.estimators` by name.
 
     `stated` are the sizes that the estimator believes (see `estimators.gain`); left out, those of
     the sources. Raises `CalibrationError` when the readings do not determine the coefficients.
@@ -141,11 +141,6 @@ def parts_of(source: ErrorSource, setup: Setup, functionals: Floats) -> Floats:
     return source.u * np.concatenate(parts, axis=1)
 
 
-def number(value: float) -> float | None:
-    """Return a number as JSON has it: null where it is not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
 def _source_json(contribution: Contribution) -> dict[str, Any]:
     source = contribution.source
     return {
@@ -157,7 +152,7 @@ def _source_json(contribution: Contribution) -> dict[str, Any]:
         "distribution": source.distribution.shape,
         "common_to": source.common,
         "group": source.group,
-        "dof": number(source.dof),
+        "dof": finite_or_none(source.dof),
         "prior": source.prior,
         "origin": source.origin,
         "contribution_u": contribution.u.tolist(),

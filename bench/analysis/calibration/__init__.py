@@ -1,6 +1,7 @@
 """From readings to coefficients with an uncertainty, and the check at the verification points."""
 
-from bench.analysis.calibration.calibrate import ESTIMATORS, calibrate
+from bench.analysis.calibration.calibrate import calibrate
+from bench.analysis.calibration.estimators import ESTIMATORS
 from bench.analysis.calibration.plausibility import implausible
 from bench.analysis.calibration.result import (
     Calibration,

@@ -3,44 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import gls, mistakes, outliers
-from bench.analysis.calibration.assumptions import assumptions, require_rank
-from bench.analysis.calibration.closed_form import NOMINAL_RAD, closed_form_gain
+from bench.analysis.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
+from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, Estimator, Task, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
-from bench.analysis.calibration.linear import least_squares_gain, linear_estimate
+from bench.analysis.calibration.linear import linear_estimate
+from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
-from bench.base.arrays import ARCSEC, Floats
+from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.readings.table import FREE, VERIFICATION, Readings
 
-GLS: Final = "gls"
-CLOSED_FORM: Final = "closed-form"
-LEAST_SQUARES: Final = "least-squares"
-ROBUST: Final = "robust"
-ESTIMATORS: Final = (GLS, CLOSED_FORM, LEAST_SQUARES, ROBUST)
-WEIGH_ALL: Final = frozenset({GLS, ROBUST})
-"""Estimators that can take readings whose modulus alone is known."""
 ROUNDING: Final = 1e-9
 """Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
-
-    oriented: Readings
-    free: Readings
-    oriented_rows: NDArray[np.int64]
-    free_rows: NDArray[np.int64]
 
 
 def calibrate(
@@ -65,50 +48,45 @@ def calibrate(
     upper triangular by convention. Raises `CalibrationError` when the readings do not determine the
     coefficients, or hold a mistake.
     """
-    if estimator not in ESTIMATORS:
-        raise CalibrationError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATORS)}")
-    chosen = _choose(readings, model, estimator, join_free=join_free, join_verification=join_verification)
+    by = find_estimator(estimator)
+    chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
     rows = chosen.oriented
     if nominal_angles:
         rows = mistakes.at_nominal_angles(rows)
     conditions = rows.conditions()
-    if estimator == CLOSED_FORM:
-        gain = closed_form_gain(rows)
-        conditions = replace(conditions, angle_rad=NOMINAL_RAD[rows.point - 1])
+    if by.angles_rad is not None:
+        conditions = replace(conditions, angle_rad=by.angles_rad(rows))
     problem = make_problem(model, conditions, stand_u, _free_rows(chosen, readings))
     resolution = (rows if len(rows) else chosen.free).resolution
     start = first_guess(problem, rows.signal, resolution)
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
-    fit, found, notes = _fitted(problem, refit, estimator, chosen)
+    fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
     fit_test = gls.lack_of_fit(problem, fit)
-    weighing = estimator in WEIGH_ALL
-    if not weighing:
-        gain = gain if estimator == CLOSED_FORM else least_squares_gain(problem)
-        fit = linear_estimate(problem, rows.signal, fit, gain)
+    if by.gain is not None:
+        fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows))
     covariance = fit.covariance[:FIXED, :FIXED]
-    mistakes.refuse_singular(fit.block, np.sqrt(np.diag(covariance)))
-    rms = float(np.sqrt(np.mean(fit.residuals**2))) if len(rows) else float("nan")
+    mistakes.refuse_singular(fit.block, u_of(covariance))
     return Calibration(
-        estimator=estimator,
+        estimator=by.name,
         unit=readings.unit,
         g_m_s2=g_m_s2,
         block=fit.block,
         covariance=covariance,
         noise=fit.noise,
-        lack_of_fit=replace(fit_test, rms=rms),
+        lack_of_fit=replace(fit_test, rms=rms(fit.residuals)),
         fitted=rows,
         residuals=fit.residuals,
         skipped=len(readings.skipped),
         model=model.name,
-        stand=_stand(problem, fit) if weighing else {},
-        effects=_effects(problem, fit) if weighing else {},
+        stand=_stand(problem, fit) if by.weighs_all else {},
+        effects=_effects(problem, fit) if by.weighs_all else {},
         assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
         free=chosen.free if len(chosen.free) else None,
         modulus_error=fit.modulus,
-        outliers=found if estimator == ROBUST else (),
-        notes=(*_notes_on_rows(readings, chosen, estimator, join_free=join_free), *notes),
+        outliers=found,
+        notes=(*_notes_on_rows(readings, chosen, by.name, join_free=join_free), *notes),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
-        angles="nominal" if nominal_angles or estimator == CLOSED_FORM else "read back",
+        angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
     )
 
 
@@ -116,15 +94,16 @@ def calibrate(
 
 
 def _choose(
-    readings: Readings, model: ForwardModel, estimator: str, *, join_free: bool, join_verification: bool
+    readings: Readings, model: ForwardModel, by: Estimator, *, join_free: bool, join_verification: bool
 ) -> Chosen:
-    if join_verification and estimator not in WEIGH_ALL:
+    if join_verification and not by.weighs_all:
+        able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
         raise CalibrationError(
-            f"the estimator {estimator} takes oriented readings alone; use gls or robust where verification "
+            f"the estimator {by.name} takes oriented readings alone; use {able} where verification "
             "points are to join"
         )
     labels = [FREE] * join_free + [VERIFICATION] * join_verification
-    joins = np.isin(readings.installation, labels) & (estimator in WEIGH_ALL)
+    joins = np.isin(readings.installation, labels) & by.weighs_all
     free = readings.select(joins)
     mistakes.require_numbers(free, angles=False)
     alone = bool(np.any(readings.installation[joins] == FREE)) and not len(readings.oriented())
@@ -185,16 +164,11 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
         mistakes.refuse_singular(block)
         return block
     columns = mistakes.force_columns(problem)
-    solution, *_ = np.linalg.lstsq(columns, signal, rcond=None)
-    still = [axis for axis, spread in zip("xyz", np.ptp(signal, axis=0), strict=True) if spread == 0]
-    if not still:
-        mistakes.refuse_wrong_angle_unit(problem, signal, signal - columns @ solution)
+    solution, left = least_squares(columns, signal)
+    if not mistakes.still_channels(signal):
+        mistakes.refuse_wrong_angle_unit(problem, signal, left)
     require_rank(columns[:, :3])
-    if still:
-        raise CalibrationError(
-            f"the signal of channel {', '.join(still)} is the same in every reading; "
-            "check its cable and the supply of the block"
-        )
+    mistakes.refuse_still(signal)
     mistakes.refuse_saturated(columns, signal, resolution)
     block = Block.from_vector(np.concatenate([solution[:3].T.ravel(), solution[3]]))
     mistakes.refuse_singular(block)
@@ -202,23 +176,22 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 
 
 def _fitted(
-    problem: Problem, refit: partial[gls.Fit], estimator: str, chosen: Chosen
+    problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: Chosen
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Fit, look for outliers, and keep what the estimator asks for: robust takes their weight away."""
+    """Fit, weigh as the estimator does, and look for outliers where it does not take their weight away."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:
         return fit, (), ()
-    robust = estimator == ROBUST
+    task = Task(problem, signal, fit, lambda shifts: refit(shifts=shifts))
+    fit = by.weigh(task)
+    if by.drops_outliers:
+        return fit, outliers.listed(fit, chosen), ()
     # a note on one is enough, but free positions alone have too few rows to show one beside another
-    most = outliers.most_outliers(problem) if robust or problem.upper else 1
-    without = outliers.search(problem, fit, lambda shifts: refit(shifts=shifts), most)
-    found = outliers.told(without, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
-    if robust:
-        return without, found, ()
+    most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
-        f"an outlier is evident: {outlier.text()}; the estimator 'robust' takes its weight away"
-        for outlier in found
+        f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
+        for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
 
@@ -230,34 +203,31 @@ def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[s
         "common rotation of the block's axes: no free position shows it; by convention K is upper triangular "
         "(axis z is that of channel z, axis y lies in the plane of channels y and z)",
         "sign of each channel: no free position shows it; every scale factor is given as positive",
-        "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it",
-        "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
-        "whatever is computed from them in m/s^2",
+        GAIN,
+        GRAVITY,
     )
 
 
 def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
-    u = np.sqrt(np.diag(fit.covariance))[FIXED:]
-    names = problem.names()
+    """Return the estimates of the stand's angles by name."""
+    found = _estimates(problem, fit)[: len(problem.stand)]
     return {
-        names[j]: Estimate(
-            float(fit.others[j]) / ARCSEC, float(u[j]) / ARCSEC, "arcsec", unknown.prior_u / ARCSEC
-        )
-        for j, unknown in enumerate(problem.stand)
+        name: Estimate(value / ARCSEC, u / ARCSEC, "arcsec", unknown.prior_u / ARCSEC)
+        for (name, value, u), unknown in zip(found, problem.stand, strict=True)
     }
 
 
 def _effects(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
-    u = np.sqrt(np.diag(fit.covariance))[FIXED:]
-    estimates = {}
-    for j, name in enumerate(problem.names()):
-        if j >= len(problem.stand):
-            unknown = problem.effects[j - len(problem.stand)]
-            effect = problem.model.effects[unknown.effect].effect
-            parameter = next(p for p in effect.parameters if p.name == unknown.parameter)
-            estimates[name] = Estimate(
-                float(fit.others[j]) / parameter.si_per_unit,
-                float(u[j]) / parameter.si_per_unit,
-                parameter.unit,
-            )
-    return estimates
+    """Return the estimates of the parameters of effects by name."""
+    found = _estimates(problem, fit)[len(problem.stand) :]
+    sizes = [problem.parameter(unknown) for unknown in problem.effects]
+    return {
+        name: Estimate(value / p.si_per_unit, u / p.si_per_unit, p.unit)
+        for (name, value, u), p in zip(found, sizes, strict=True)
+    }
+
+
+def _estimates(problem: Problem, fit: gls.Fit) -> list[tuple[str, float, float]]:
+    """Return name, value and u of the unknowns after the coefficients, SI."""
+    u = u_of(fit.covariance)[FIXED:]
+    return list(zip(problem.names(), fit.others.tolist(), u.tolist(), strict=True))

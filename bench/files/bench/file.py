@@ -10,7 +10,15 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from bench.base.form_mistakes import Place
-from bench.base.forms import FileMistakes, FileModel, load_validated, part, sha256_of_file
+from bench.base.forms import (
+    FileMistakes,
+    FileModel,
+    load_document,
+    load_validated,
+    part,
+    sha256_of_file,
+    validated,
+)
 from bench.base.units import FrequencyHz
 from bench.devices.heads import MotorisedHeadForm
 from bench.devices.voltmeters import VOLTMETERS
@@ -31,7 +39,7 @@ from bench.model import STAND_ANGLES, AppliedEffect, Block, Distribution, Instal
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.model.gravity import normal_gravity_m_s2
 
-__all__ = ["BenchFile", "FileMistakes", "load_bench", "sha256_of_file"]
+__all__ = ["BenchFile", "FileMistakes", "load_bench", "load_recorded_bench", "sha256_of_file"]
 
 STAND_ERRORS: Final = (*STAND_ANGLES, "setting_error", "voltmeter_error")
 """Names of all stand errors."""
@@ -88,14 +96,19 @@ class BenchFile(FileModel):
     @property
     def nplc_supported(self) -> tuple[float, ...]:
         """Integration times that every voltmeter of the bench has, in power-line cycles, rising."""
-        kinds = [VOLTMETERS[meter.driver].nplc for meter in self.instruments.voltmeters]
+        kinds = [VOLTMETERS[meter.driver].limits.nplc for meter in self.instruments.voltmeters]
         return tuple(sorted(set(kinds[0]).intersection(*kinds)))
 
     @property
     def most_samples(self) -> int:
         """Samples that one reading may have: a multiplexer keeps those of all its channels."""
         meters = self.instruments.voltmeters
-        return min(VOLTMETERS[meter.driver].memory_readings // len(meter.channels) for meter in meters)
+        return min(VOLTMETERS[m.driver].limits.of_channels(len(m.channels)).most_samples for m in meters)
+
+    @property
+    def least_samples(self) -> int:
+        """Samples that one reading must have, so that every voltmeter takes it."""
+        return max(VOLTMETERS[meter.driver].limits.least_samples for meter in self.instruments.voltmeters)
 
     @property
     def head_limits_rad(self) -> tuple[float, float] | None:
@@ -153,3 +166,15 @@ class BenchFile(FileModel):
 def load_bench(path: Path) -> BenchFile:
     """Read a bench file. Raises `FileMistakes` with every mistake in it."""
     return load_validated(path, BenchFile)
+
+
+def load_recorded_bench(path: Path) -> BenchFile:
+    """Read the bench file of a run to evaluate it, without the effects that the simulation had.
+
+    No evaluation knows of them, and a run may have had some that the catalogue no longer has. Raises
+    `FileMistakes` with every mistake in all else.
+    """
+    document = load_document(path)
+    if isinstance(document.data, dict):
+        document.data.pop("effects", None)
+    return validated(document, BenchFile)

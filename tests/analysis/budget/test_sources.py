@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.analysis.budget import bench_sources, make_budget, make_setup, stand_source
+from bench.analysis.budget.coefficients import make_budget
+from bench.analysis.budget.setup import make_setup
+from bench.analysis.budget.sources import bench_sources, stand_source
 from bench.analysis.calibration import CalibrationError
 from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import FileMistakes, load_bench
@@ -65,7 +67,9 @@ def test_the_shipped_bench():
 def test_the_meters_limits_are_those_of_the_simulated_meter():
     """Both halves of the program state them on their own; they must not come apart."""
     for kind in VOLTMETERS.values():
-        assert {r: kind.accuracy[r] for r in kind.ranges_v} == {r: _SPEC_90_DAYS[r] for r in kind.ranges_v}
+        assert {r: kind.accuracy[r] for r in kind.limits.ranges_v} == {
+            r: _SPEC_90_DAYS[r] for r in kind.limits.ranges_v
+        }
 
 
 def test_the_section_uncertainty_is_used(tmp_path):

@@ -110,8 +110,8 @@ def test_installations_are_the_papers_two_and_the_stated_ones():
     ],
 )
 def test_voltmeters_can_what_their_driver_can(driver, ranges_v, nplc, memory_readings):
-    kind = VOLTMETERS[driver]
-    assert (kind.ranges_v, kind.nplc, kind.memory_readings) == (ranges_v, nplc, memory_readings)
+    limits = VOLTMETERS[driver].limits
+    assert (limits.ranges_v, limits.nplc, limits.most_samples) == (ranges_v, nplc, memory_readings)
 
 
 def test_what_is_left_out_has_its_default(tmp_path, paper_text):

@@ -1,0 +1,315 @@
+r"""A wire log of a real session, gone through again by the driver: a protocol test without the instrument.
+
+    from drivers.wire.replay import replayed
+
+    def test_a_session_of_a_34401a() -> None:
+        with replayed(Path("wire.log"), "voltmeter.x") as (session, clock):
+            meter = Agilent34401A("voltmeter.x", "x", session, clock)
+            assert meter.open().model == "34401A"
+
+`session` is a whole `MessageSession`, with its checks and reconnections, over the log in place of a wire: the
+driver must send what the log has, in its order, and gets the log's replies and failures. What it sends
+otherwise, or what is left at the end, is a `Deviation`. Nothing is opened and nothing sleeps: the time of the log
+passes on `clock` with its lines, and before a call of the driver by `clock.catch_up()`. For a test of pairs,
+
+    python -m drivers.wire.replay wire.log --instrument voltmeter.x
+
+prints them. A log of an earlier version has no `!` lines: a query without reply is taken for silence, a reply for
+whole, a connection for made. In no log is which driver spoke with which settings, nor that another instrument on
+the same GPIB adapter lost its link. A dry run's log has the computer's time, not that of its bench. A reply with
+a backslash before x and two hex digits, n, r or t is taken for that character.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+from drivers.interfaces import BadReading, BenchError, InstrumentLost
+from drivers.wire.log import escaped
+from drivers.wire.pyvisa_connection import Connection
+from drivers.wire.visa import AFTER_SENDING, BEFORE_SENDING, CONNECTING, MessageSession
+
+_LINE: Final = re.compile(r"(\S+) (\S+) (?:([<>])(?: ([\x20-\x7e]*))?|! (.+))")
+_FAILURE: Final = re.compile(
+    rf"({CONNECTING}|{BEFORE_SENDING}|{AFTER_SENDING}): "
+    r"(?:(InstrumentLost|BadReading): (.+); (.+?)|KeyboardInterrupt|SystemExit)"
+)
+_LONG_S: Final = 60.0
+_ESCAPE: Final = re.compile(rb"\\(?:x[0-9a-f]{2}|[nrt])")
+
+
+class WireLogError(ValueError):
+    """A wire log that cannot be read; the text has each mistake with file and line, a line each."""
+
+
+class Deviation(AssertionError):
+    """The driver did otherwise than the log has it; the text says in which line, and what was expected."""
+
+
+class _Stopped(BaseException):
+    """The driver deviated: no driver may take it for a failure of the wire."""
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """One line: when it was, `way` and `text`; a `!` has `when` it failed and the `failure`."""
+
+    line: int
+    time: datetime
+    way: str
+    text: str
+    when: str = ""
+    failure: BaseException | None = None
+
+    @property
+    def data(self) -> bytes:
+        """What was on the wire, without the end of the line."""
+        return _ESCAPE.sub(
+            lambda m: m[0].decode("unicode_escape").encode("latin-1"), self.text.encode("ascii")
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """What was sent (None: nothing was) and what came of it: a reply, None for none, or how it failed."""
+
+    line: int
+    sent: str | None
+    answered: str | BaseException | None
+    sent_at: datetime
+    answered_at: datetime | None
+
+
+def read_log(path: Path, instrument: str) -> list[Logged]:
+    """Return what a wire log has of an instrument. Raises `WireLogError` for any mistake in it, `OSError`."""
+    mistakes: list[str] = []
+    logged: dict[str, list[Logged]] = {}
+    *lines, rest = path.read_bytes().split(b"\n")
+    for number, data in enumerate(lines, start=1):
+        try:
+            name, entry = _read_line(number, data.decode("utf-8").removesuffix("\r"))
+            logged.setdefault(name, []).append(entry)
+        except ValueError as error:  # a byte that is no UTF-8 is one, too
+            mistakes.append(f"{path}, line {number}: {error}")
+    if rest:
+        mistakes.append(f"{path}, line {len(lines) + 1}: it has no end; if the log broke off here, delete it")
+    if not mistakes and instrument not in logged:
+        mistakes.append(f"{path}: nothing of {instrument}; it has {', '.join(sorted(logged)) or 'no line'}")
+    if mistakes:
+        raise WireLogError("\n".join(mistakes))
+    return logged[instrument]
+
+
+def _read_line(number: int, text: str) -> tuple[str, Logged]:
+    match = _LINE.fullmatch(text)
+    if match is None:
+        raise ValueError(f"{escaped(text)[:60]!r} is not 'time instrument > text', or with < or !")
+    stamp, instrument, way, message, failed = match.groups()
+    time = datetime.fromisoformat(stamp)
+    if time.tzinfo is None:
+        raise ValueError(f"{stamp!r} has no offset, such as +00:00")
+    entry = Logged(number, time, way or "!", message or failed or "")
+    if not failed:
+        return instrument, entry
+    match = _FAILURE.fullmatch(failed)
+    if match is None:
+        raise ValueError(
+            f"{failed[:60]!r} is not '{AFTER_SENDING}: InstrumentLost: cause; remedy' or the like"
+        )
+    when, kind, cause, remedy = match.groups()
+    failure: BaseException = SystemExit() if failed.endswith("SystemExit") else KeyboardInterrupt()
+    if kind:
+        failure = (BadReading if kind == "BadReading" else InstrumentLost)(instrument, cause, remedy)
+    return instrument, replace(entry, when=when, failure=failure)
+
+
+def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
+    """Return the exchanges that lines make; where one failed, part of a reply gives way to the failure."""
+    made: list[Exchange] = []
+    for entry in lines:
+        answer = entry.failure or entry.data.decode("ascii", "backslashreplace")
+        if entry.way == ">":
+            made.append(Exchange(entry.line, str(answer), None, entry.time, None))
+        elif made and (entry.when == AFTER_SENDING or (entry.way == "<" and made[-1].answered is None)):
+            made[-1] = replace(made[-1], answered=answer, answered_at=entry.time)
+        else:
+            made.append(Exchange(entry.line, None, answer, entry.time, entry.time))
+    return made
+
+
+@contextmanager
+def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[MessageSession, Replay]]:
+    """Yield a session over what the log has of an instrument, and its clock.
+
+    `settings` are those of `MessageSession`, such as `timeout_s` or `serial`. Raises `Deviation` for what the
+    driver did otherwise (even if it let that pass) and for what is left, `WireLogError`, `OSError`.
+    """
+    replay = Replay(f"{log}", instrument, read_log(log, instrument), settings.get("read_termination", "\n"))
+    session = _ReplayedSession(replay, **settings)
+    try:
+        yield session, replay
+    except _Stopped:
+        pass
+    except BaseException as error:
+        if replay.deviation:
+            raise Deviation(replay.deviation) from error
+        raise
+    finally:
+        session.close()
+    if not replay.deviation and replay.left:
+        replay.deviate("nothing more was sent")
+    if replay.deviation:
+        raise Deviation(replay.deviation)
+
+
+class Replay(Connection):
+    """Goes through a log: a connection with what it has `left` for the session, its `Clock` for the driver.
+
+    The time is that of the last line, and of what the driver slept since.
+    """
+
+    def __init__(self, log: str, instrument: str, lines: Sequence[Logged], read_termination: str) -> None:
+        self.left = deque(lines)
+        self.deviation = ""
+        self.by_bytes = True
+        self.instrument = instrument
+        self._log = log
+        self._read_end = read_termination.encode("ascii")
+        self._start = lines[0].time
+        self._time_s = 0.0
+        self._when = BEFORE_SENDING
+        self._remark = ""
+
+    def now_s(self) -> float:
+        """Return the time since the first line, s."""
+        return self._time_s
+
+    def sleep(self, duration_s: float) -> None:
+        """Let time pass, at once."""
+        self._time_s += max(0.0, duration_s)
+
+    def catch_up(self) -> None:
+        """Let the time until the next line pass: what others did before they called the driver again."""
+        if self.left:
+            self._time_s = max(self._time_s, self._of_log_s(self.left[0]))
+
+    def deviate(self, what: str) -> None:
+        """Keep what differs from the log, if nothing did before."""
+        due = self.left[0] if self.left else None
+        expected = f"line {due.line}: '{due.way} {due.text}'" if due else "the end"
+        if due and (later_s := self._of_log_s(due) - self._time_s) > _LONG_S:
+            self._remark += f" ({later_s:.0f} s after the line before: 'catch_up' lets them pass)"
+        self.deviation = self.deviation or f"{self._log}, {expected} was expected, but {what}{self._remark}"
+
+    def fail(self, when: str) -> None:
+        """Raise the failure that comes next in the log, if it is one of that time."""
+        if self.left and self.left[0].when == when and (failure := self._next().failure):
+            raise failure
+
+    # --- the connection -----------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def interrupt(self) -> None:
+        """Nobody waits."""
+
+    def send(self, data: bytes, timeout_s: float) -> bool:
+        """Take the line of a message that is sent."""
+        sent = escaped(data.decode("ascii").rstrip("\r\n"))
+        due = self.left[0] if self.left else None
+        if self.deviation or due is None or (due.way, due.text) != (">", sent):
+            self.deviate(f"'> {sent}' was sent")
+            raise _Stopped
+        self._next()
+        self.fail(AFTER_SENDING)
+        return True
+
+    def wait(self, timeout_s: float) -> bool:
+        """Look for what nobody asked for (no timeout), or wait for a reply."""
+        self._when = AFTER_SENDING if timeout_s > 0.0 else BEFORE_SENDING
+        self.fail(self._when)
+        if self.left and self.left[0].way == "<":
+            return True
+        if timeout_s > 0.0:
+            self.sleep(timeout_s)
+            self._remark = " (before that a reply was waited for, and the log has neither one nor why)"
+        return False
+
+    def take(self) -> tuple[bytes, bool]:
+        """Take a reply; raise the failure instead if it was cut, or followed by another, or unasked for."""
+        reply = self._next()
+        self.fail(self._when)
+        if self._when == BEFORE_SENDING:
+            self._remark = f" (the reply of line {reply.line} was not read)"
+        return reply.data + self._read_end, reply.data.endswith(b"\n")
+
+    def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:
+        """Nothing comes late."""
+        return True
+
+    def _next(self) -> Logged:
+        self.catch_up()
+        return self.left.popleft()
+
+    def _of_log_s(self, entry: Logged) -> float:
+        return (entry.time - self._start).total_seconds()
+
+
+class _ReplayedSession(MessageSession):
+    def __init__(self, replay: Replay, **settings: Any) -> None:
+        super().__init__(replay.instrument, "the log", **settings)
+        self._clock = self._replay = replay
+
+    def _open(self) -> Connection:
+        self._replay.fail(CONNECTING)
+        return self._replay
+
+
+# --- the command line -------------------------------------------------------------------------------
+
+
+def as_pairs(made: Iterable[Exchange]) -> str:
+    """Return exchanges as a Python literal, pairs of (sent, answered); one without a message is a comment."""
+    lines = []
+    for exchange in made:
+        answered, shown = exchange.answered, repr(exchange.answered)
+        if isinstance(answered, BenchError):
+            words = (answered.instrument, answered.cause, answered.remedy)
+            shown = f"{type(answered).__name__}{words!r}"
+        sent = f"({exchange.sent!r}, {shown}),"
+        lines.append(f"    {sent}" if exchange.sent is not None else f"    # nothing was sent: {shown}")
+    return "\n".join(["[", *lines, "]"])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the pairs of an instrument, and to standard error what is missing; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m drivers.wire.replay", description="Print a wire log as pairs of (sent, answered)."
+    )
+    parser.add_argument("log", type=Path)
+    parser.add_argument("--instrument", required=True, help="its name in the log, such as voltmeter.x")
+    given = parser.parse_args(arguments)
+    try:
+        made = exchanges(read_log(given.log, given.instrument))
+    except (OSError, WireLogError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    for exchange in made:
+        if exchange.answered is None and "?" in (exchange.sent or ""):
+            print(f"note: {given.log}, line {exchange.line}: it has no reply, nor why", file=sys.stderr)
+    print(as_pairs(made))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
