@@ -60,7 +60,11 @@ def _rows(option: Any) -> Iterator[tuple[str, str, str]]:
     help_text = getattr(option, "help", None) or ""
     default = option.default
     if option.param_type_name == "argument":
-        yield code(option.metavar or option.name.upper()), help_text, "" if not option.required else "must stand"
+        yield (
+            code(option.metavar or option.name.upper()),
+            help_text,
+            "" if not option.required else "must stand",
+        )
         return
     names = ", ".join(code(name) for name in (*option.opts, *option.secondary_opts))
     value = "" if option.is_flag else f" {code(option.metavar or _kind(option))}"
@@ -73,4 +77,6 @@ def _kind(option: Any) -> str:
     """Return what the value of an option is, in capitals as the help shows it."""
     annotation = getattr(getattr(option, "type_descriptor", None), "annotation", None)
     kind = getattr(annotation, "__name__", "") or getattr(getattr(option, "type", None), "name", "")
-    return {"str": "TEXT", "int": "NUMBER", "float": "NUMBER", "Path": "FILE"}.get(kind, kind.upper() or "VALUE")
+    return {"str": "TEXT", "int": "NUMBER", "float": "NUMBER", "Path": "FILE"}.get(
+        kind, kind.upper() or "VALUE"
+    )

@@ -72,7 +72,9 @@ def _section(effect: Effect) -> str:
 def _more(effect: Effect) -> list[tuple[str, str]]:
     facts = []
     if effect.per_mount:
-        facts.append(("mountings", "may be of one alone" + (", and stays from it on" if effect.lasts else "")))
+        facts.append(
+            ("mountings", "may be of one alone" + (", and stays from it on" if effect.lasts else ""))
+        )
     if effect.needs_history:
         facts.append(("order", "a reading depends on those before it"))
     if effect.needs_path:

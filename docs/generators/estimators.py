@@ -21,7 +21,7 @@ def page() -> str:
     rows = [
         (
             " or ".join(code(name) for name in (e.name, *e.also)),
-            getattr(e, "summary", "") or getattr(e, "told", ""),
+            getattr(e, "phrase", "") or getattr(e, "told", ""),
             "each by its weight" if e.gain is None else "alike in each run of the same angles",
             "yes" if e.weighs_all else "no",
             code(e.counts_as or e.name),

@@ -18,7 +18,10 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "pass": ("–", "1, 2, …: which time through the points"),
     "point": ("–", "number of the test point; a setting that is visited in each pass has one number"),
     "angle_deg": ("°", "angle of the head as read back from its scale; empty for `F`, `S`, `R`"),
-    "series": ("–", "any second visit to an installation: another temperature, a return; 1 where it is not there"),
+    "series": (
+        "–",
+        "any second visit to an installation: another temperature, a return; 1 where it is not there",
+    ),
     "target_deg": ("°", "the angle that was asked for"),
     "direction": ("–", "+1 approached with rising angle, −1 with falling; may be empty"),
     "time_s": ("s", "since the start of the run; may be empty"),
@@ -58,7 +61,9 @@ def page() -> str:
     """Return the page. Raises `ValueError` where a column is not described or described and not known."""
     known = known_columns()
     if set(known) != COLUMNS.keys():
-        raise ValueError(f"columns of readings files: {sorted(set(known) ^ COLUMNS.keys())} in one place only")
+        raise ValueError(
+            f"columns of readings files: {sorted(set(known) ^ COLUMNS.keys())} in one place only"
+        )
     rows = [
         (code(name), COLUMNS[name][0], "must stand" if name in csv.REQUIRED else "may", COLUMNS[name][1])
         for name in known

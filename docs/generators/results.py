@@ -42,8 +42,10 @@ def _rows(schema: Mapping[str, Any], defs: Mapping[str, Any], path: str) -> Iter
     """Yield a row for each member, the members of objects, lists and maps below their own."""
     for name, member in schema.get("properties", {}).items():
         here = f"{path}.{name}" if path else name
-        yield code(here), _type(member, defs), member.get("description", "") or _resolved(member, defs).get(
-            "description", ""
+        yield (
+            code(here),
+            _type(member, defs),
+            member.get("description", "") or _resolved(member, defs).get("description", ""),
         )
         yield from _inside(member, defs, here)
     more = schema.get("additionalProperties")
