@@ -21,9 +21,11 @@ import GTC
 import numpy as np
 import uncertainties
 
-from bench.analysis.budget import Setup, bench_sources, make_budget, make_setup
+from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.exact import exact_monte_carlo
 from bench.analysis.budget.linear_noise import linear_noise
+from bench.analysis.budget.setup import Setup, make_setup
+from bench.analysis.budget.sources import bench_sources
 from bench.analysis.calibration.closed_form import closed_form
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure

@@ -12,7 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.analysis.budget import Setup, make_budget, stand_source
+from bench.analysis.budget.coefficients import make_budget
+from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.planning.goals import Goal, coefficient_goals, vector_goal
 from bench.analysis.planning.points import Points, Sites, Stand, best_within, cheapest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Final
+from typing import Final, NamedTuple
 
 EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
 
@@ -13,12 +13,21 @@ _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'
 
 _PART: Final = re.compile(r"(?P<number>\d+(?P<decimals>\.\d+)?)(?P<mark>\s*[^\s\d.]*)\s*")
 
-_SLIPS: Final = (
-    (10.0, "the tens of degrees are one off (10°)"),
-    (1.0, "the degree line is one off (1°)"),
-    (10.0 / 60.0, "the tens of minutes are one off (10′)"),
-    (1.0 / 60.0, "the minute line is one off (1′)"),
-    (180.0, "the opposite side of the circle was read (180°)"),
+
+class Slip(NamedTuple):
+    """A classic slip in reading a scale: by how much it is off, as written and in degrees, and what it is."""
+
+    size: str
+    degrees: float
+    words: str
+
+
+SLIPS: Final = (
+    Slip("10°", 10.0, "the tens of degrees are one off"),
+    Slip("1°", 1.0, "the degree line is one off"),
+    Slip("10′", 10.0 / 60.0, "the tens of minutes are one off"),
+    Slip("1′", 1.0 / 60.0, "the minute line is one off"),
+    Slip("180°", 180.0, "the opposite side of the circle was read"),
 )
 
 
@@ -93,7 +102,9 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:
         return None
-    candidates = [(abs(abs(difference) - math.radians(size)), words) for size, words in _SLIPS]
+    candidates = [
+        (abs(abs(difference) - math.radians(slip.degrees)), f"{slip.words} ({slip.size})") for slip in SLIPS
+    ]
     candidates.append((abs(wrapped_rad(read_rad + target_rad)), "360° - x was read instead of x"))
     miss, words = min(candidates, key=lambda candidate: candidate[0])
     # a miss of 31″ lies within 30″ of a whole minute, too, but is no slip of one

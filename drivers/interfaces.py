@@ -6,10 +6,10 @@ Angles are radians, voltages volts, temperatures degrees Celsius, times seconds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, NotRequired, Protocol, TypedDict, runtime_checkable
 
 Channel = Literal["x", "y", "z"]
 CHANNELS: tuple[Channel, Channel, Channel] = ("x", "y", "z")
@@ -79,14 +79,54 @@ class PromptKind(StrEnum):
     ANGLE = "angle"
 
 
+class MountBlock(TypedDict):
+    """Mount the block in an installation; `series` numbers the visits to it from 1."""
+
+    do: Literal["mount"]
+    installation: str
+    series: NotRequired[int]
+
+
+class TurnHead(TypedDict):
+    """Turn the head and read its scale."""
+
+    do: Literal["turn"]
+    target_rad: float
+    direction: Direction
+
+
+class SetChamber(TypedDict):
+    """Set the chamber."""
+
+    do: Literal["set_temperature"]
+    target_c: float
+
+
+class SwitchInputs(TypedDict):
+    """Switch the inputs of all voltmeters."""
+
+    do: Literal["select_input"]
+    source: Literal["signal", "short", "reference"]
+    reference_v: NotRequired[float | None]
+
+
+class Say(TypedDict):
+    """Read the chamber's thermometer, answer a question, or wait: nothing on the bench is changed."""
+
+    do: Literal["read_temperature", "answer", "ask", "wait"]
+
+
+Action = MountBlock | TurnHead | SetChamber | SwitchInputs | Say
+"""What a prompt asks a person to do, for one that is a program."""
+
+
 @dataclass(frozen=True, slots=True)
 class Prompt:
     """A question as a value: it can be shown in a terminal, on a page, or answered by a script.
 
     `id` names the step and the attempt that ask ("12/turn#1"); an answer to another id is stale.
     `default` is what an empty answer means; a prompt without one cannot be answered in a dry run
-    except by the scripted operator. `action` is the machine-readable task, for example
-    `{"do": "turn", "target_rad": 0.785, "direction": 1}`.
+    except by the scripted operator.
     """
 
     id: str
@@ -97,7 +137,7 @@ class Prompt:
     choices: tuple[str, ...] = ()
     minimum: float | None = None
     maximum: float | None = None
-    action: Mapping[str, object] = field(default_factory=dict)
+    action: Action = field(default_factory=lambda: Say(do="answer"))
     picture: str = ""
 
 

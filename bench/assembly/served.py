@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 from bench.assembly.real import Surroundings, instruments_of
 from bench.assembly.simulated import (
@@ -31,8 +30,9 @@ from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
 from bench.procedure.plan import Plan, Read
 from bench.procedure.steps import in_scan_order, read_order
+from bench.readings.reading import Reading
 from bench.readings.table import REFERENCE, SHORTED, scan_order
-from bench.run.record import Event
+from bench.run.events import Event, EventType
 from bench.run.runner import Observer
 from bench.run.workbench import Instruments
 from drivers.clock import Clock, SystemClock
@@ -74,12 +74,12 @@ def dry_bench(
     wire: Wire | None = None,
     *,
     plan: Plan | None = None,
-    taken: Sequence[Mapping[str, Any]] = (),
+    taken: Sequence[Reading] = (),
 ) -> Iterator[Assembly]:
     """Put a simulated bench together: the bench file's stand and block as truth, `model` with its effects.
 
     Of the steps of `plan` the world learns in which order they read the channels. `taken` are the readings on
-    record of a run to be resumed, as its events have them: effects look back to them.
+    record of a run to be resumed: effects look back to them.
     Raises `BenchError` for a fault in the bench file that its instrument cannot have.
     """
     clock = VirtualClock()
@@ -88,10 +88,10 @@ def dry_bench(
 
     def key_world(event: Event) -> None:
         """Tell the world which step goes on, so that its random numbers belong to the step."""
-        if event.type == "step_started":
+        if event.type == EventType.STEP_STARTED:
             attempt = int(event.data["attempt"])
             key = str(event.data["key"])
-            scan = scan_of(int(event.data["step"]), instruments.voltmeters)
+            scan = scan_of(event.step, instruments.voltmeters)
             world.begin_step(key if attempt == 1 else f"{key}@{attempt}", scan)
 
     def scan_of(index: int, meters: Sequence[Voltmeter]) -> tuple[int, ...]:
@@ -108,22 +108,22 @@ def dry_bench(
         yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)
 
 
-def _recall(world: World, taken: Sequence[Mapping[str, Any]]) -> None:
+def _recall(world: World, taken: Sequence[Reading]) -> None:
     """Tell a world the readings on record; a free position, of which nobody knows how it was, is none to it."""
-    for row in taken:
-        label, angle_deg = str(row["installation"]), row["angle_deg"]
-        at_inputs = {SHORTED: 0.0, REFERENCE: row.get("reference_v")}
+    for reading in taken:
+        label, angle_deg = reading.installation, reading.angle_deg
+        at_inputs = {SHORTED: 0.0, REFERENCE: reading.reference_v}
         if label not in at_inputs and (label not in world.settings.model.installations or angle_deg is None):
             continue
         world.recall(
             None if label in at_inputs else label,
-            int(row["series"]),
+            reading.series,
             math.radians(angle_deg or 0.0),
-            row["direction"] or None,
-            float(row["time_s"]),
-            block_c=row["temperature_c"],
+            reading.direction or None,
+            reading.time_s or 0.0,
+            block_c=reading.temperature_c,
             input_v=at_inputs.get(label),
-            scan=scan_order(row.get("scan_order") or ""),
+            scan=scan_order(reading.scan_order),
         )
 
 

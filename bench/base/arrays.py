@@ -1,4 +1,4 @@
-"""Words for arrays and for the axes, once: every room has them from here."""
+"""Words for arrays, for the axes and for sizes of units, once: every room has them from here."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CHANNELS
 
-__all__ = ["ARCSEC", "CHANNELS", "Floats", "Ints", "Labels", "Mask", "Singles"]
+__all__ = [
+    "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "HasCovariance", "Ints", "Labels", "Mask", "Singles",
+    "least_squares", "rms", "u_of", "unit_vectors",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -17,3 +20,40 @@ Labels = NDArray[np.str_]
 
 ARCSEC = np.pi / 648000
 """One second of arc, rad."""
+
+MINUTE = 60.0
+HOUR = 3600.0
+"""A minute and an hour, s."""
+
+
+def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
+    """Return the directions (…, 3) of vectors (…, 3), zero for one without a length, and their lengths (…)."""
+    length = np.linalg.norm(vectors, axis=-1)
+    return vectors / np.where(length > 0, length, 1.0)[..., None], length
+
+
+def least_squares(columns: Floats, target: Floats) -> tuple[Floats, Floats]:
+    """Return the solution (p,) or (p, k) of columns (n, p) for a target (n,) or (n, k), and what it leaves."""
+    solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
+    return np.asarray(solution), target - columns @ solution
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square of values of any shape; NaN where there are none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
+def u_of(covariance: Floats) -> Floats:
+    """Return the standard uncertainties (m,) that a covariance (m, m) has on its diagonal."""
+    return np.sqrt(np.diag(covariance))
+
+
+class HasCovariance:
+    """What has a `covariance` (m, m), and so standard uncertainties."""
+
+    covariance: Floats
+
+    @property
+    def u(self) -> Floats:
+        """Standard uncertainties, shape (m,)."""
+        return u_of(self.covariance)

@@ -38,7 +38,7 @@ _EXPECTED: Final = {
 }
 
 
-def told_errors(
+def explained(
     error: ValidationError, model: type[BaseModel], lines: Mapping[Place, int]
 ) -> Iterator[tuple[Place, str]]:
     """Yield the place and the sentence of each error; `lines` says which places were written.

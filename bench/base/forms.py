@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from bench.base.form_mistakes import Place, told_errors
+from bench.base.form_mistakes import Place, explained
 
 _PLAIN_TAGS: Final = frozenset(
     f"tag:yaml.org,2002:{name}"
@@ -43,9 +43,9 @@ class FileMistakes(Exception):
     def __init__(self, path: Path | str, mistakes: Iterable[FileMistake]) -> None:
         self.path = Path(path)
         self.mistakes = tuple(mistakes)
-        super().__init__("\n".join(self._told(mistake) for mistake in self.mistakes))
+        super().__init__("\n".join(self._sentence(mistake) for mistake in self.mistakes))
 
-    def _told(self, mistake: FileMistake) -> str:
+    def _sentence(self, mistake: FileMistake) -> str:
         where = f"{mistake.file or self.path}" + (f":{mistake.line}" if mistake.line else "")
         return ": ".join(part for part in (where, mistake.place, mistake.text) if part)
 
@@ -83,13 +83,13 @@ class Document:
 
     def mistake(self, place: Place, text: str) -> FileMistake:
         """Return a mistake at a place of this file."""
-        return FileMistake(self.line_of(place), told_place(place), text)
+        return FileMistake(self.line_of(place), dotted(place), text)
 
 
-def told_place(place: Place) -> str:
+def dotted(place: Place) -> str:
     """Return a place as a person reads it: `instruments.voltmeters[1].resource`, lists counted from 1."""
-    told = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
-    return told.removeprefix(".")
+    path = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
+    return path.removeprefix(".")
 
 
 def sha256_of_file(path: Path) -> str:
@@ -110,23 +110,19 @@ def load_document(path: Path) -> Document:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise FileMistakes(
-            path, [FileMistake(line, "", "the file is not UTF-8 text; save it as UTF-8 and try again")]
-        ) from None
+        raise _unusable(path, "the file is not UTF-8 text; save it as UTF-8 and try again", line) from None
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         context = f" {error.context}" if error.context else ""
         problem = f"this is not YAML: {error.problem or 'it cannot be read'}{context}"
-        raise FileMistakes(path, [FileMistake(mark.line + 1 if mark else 0, "", _hinted(problem))]) from None
+        raise _unusable(path, _hinted(problem), mark.line + 1 if mark else 0) from None
     except (yaml.YAMLError, RecursionError) as error:
         reason = str(error).splitlines()[0] if str(error) else "it cannot be read"
-        raise FileMistakes(path, [FileMistake(0, "", f"this is not YAML: {reason}")]) from None
+        raise _unusable(path, f"this is not YAML: {reason}") from None
     if node is None or node.tag == _NULL:
-        raise FileMistakes(
-            path, [FileMistake(0, "", "the file is empty; 'bench init' writes files to start from")]
-        )
+        raise _unusable(path, "the file is empty; 'bench init' writes files to start from")
     document = Document(path, None, hashlib.sha256(content).hexdigest(), {(): node.start_mark.line + 1})
     document.data = _plain(node, (), document, set())
     return document
@@ -141,7 +137,11 @@ def _content(path: Path) -> bytes:
         text = "this is a folder; name a file in it"
     except OSError as error:
         text = f"the file cannot be read ({error.strerror})"
-    raise FileMistakes(path, [FileMistake(0, "", text)])
+    raise _unusable(path, text)
+
+
+def _unusable(path: Path, text: str, line: int = 0) -> FileMistakes:
+    return FileMistakes(path, [FileMistake(line, "", text)])
 
 
 def _hinted(problem: str) -> str:
@@ -157,16 +157,16 @@ def _hinted(problem: str) -> str:
 
 def _plain(node: yaml.Node, place: Place, document: Document, seen: set[int]) -> Any:
     """Turn a node into mappings, lists and texts, noting the line of every place below it."""
-    line = node.start_mark.line + 1
+
+    def note(problem: str) -> None:
+        document.mistakes.append(FileMistake(node.start_mark.line + 1, dotted(place), problem))
+
     if id(node) in seen:
-        problem = "anchors and aliases (& and *) are not understood here; write the value out"
-        document.mistakes.append(FileMistake(line, told_place(place), problem))
+        note("anchors and aliases (& and *) are not understood here; write the value out")
         return None
     seen.add(id(node))
     if node.tag not in _PLAIN_TAGS:
-        document.mistakes.append(
-            FileMistake(line, told_place(place), f"the tag {node.tag!r} is not understood; leave it out")
-        )
+        note(f"the tag {node.tag!r} is not understood; leave it out")
     if isinstance(node, yaml.MappingNode):
         return _plain_mapping(node, place, document, seen)
     if isinstance(node, yaml.SequenceNode):
@@ -185,13 +185,13 @@ def _plain_mapping(
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            document.mistakes.append(FileMistake(line, told_place(place), "a key must be a plain word"))
+            document.mistakes.append(FileMistake(line, dotted(place), "a key must be a plain word"))
             continue
         inside = (*place, key.value)
         if key.value in mapping:
             first = document.lines[inside]
             text = f"'{key.value}' stands here a second time, first in line {first}; leave one out"
-            document.mistakes.append(FileMistake(line, told_place(place), text))
+            document.mistakes.append(FileMistake(line, dotted(place), text))
             continue
         document.lines[inside] = line
         mapping[key.value] = _plain(value, inside, document, seen)
@@ -215,9 +215,7 @@ def validated(document: Document, model: type[Model]) -> Model:
     try:
         result = model.model_validate(document.data)
     except ValidationError as error:
-        mistakes += [
-            document.mistake(place, text) for place, text in told_errors(error, model, document.lines)
-        ]
+        mistakes += [document.mistake(place, text) for place, text in explained(error, model, document.lines)]
     mistakes += [document.mistake(place, text) for place, text in model.cross_checks(document.data)]
     if result is None or mistakes:
         raise FileMistakes(document.path, sorted(set(mistakes)))

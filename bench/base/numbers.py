@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 MINUS: Final = "−"
 FIGURE_SPACE: Final = "\N{FIGURE SPACE}"
@@ -48,6 +48,11 @@ def scale_for(largest: float, unit: str) -> Scale:
             return Scale(prefix + printed, size)
     prefix, size = _PREFIXES[-1]
     return Scale(prefix + printed, size)
+
+
+def finite_or_none(value: float) -> float | None:
+    """Return a number as JSON has it: null where it is not finite."""
+    return float(value) if math.isfinite(value) else None
 
 
 def places(u: float) -> int:
@@ -132,3 +137,12 @@ def typeset(text: str) -> str:
 
     text = _EXPONENTIAL.sub(power, text).replace("m/s^2", "m/s²")
     return _NEGATIVE.sub(MINUS, text)
+
+
+def without_infinity(value: Any) -> Any:
+    """Return a value of dicts and lists with None for what is no finite number: JSON has none."""
+    if isinstance(value, Mapping):
+        return {key: without_infinity(of) for key, of in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_infinity(of) for of in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -33,6 +33,7 @@ _DEFINITIONS: Final = (
     f"degree = {math.pi!r} / 180 radian = deg",
     f"arcminute = {math.pi!r} / 10800 radian = arcmin",
     f"arcsecond = {math.pi!r} / 648000 radian = arcsec",
+    f"revolution = {math.tau!r} radian = rev",
     "degree_Celsius = [celsius] = degC",
     "kelvin = degree_Celsius = K",
     "local_gravity = [gravity] = g",
@@ -41,8 +42,8 @@ _DEFINITIONS: Final = (
 )
 """Only what a bench needs: a short list refuses slips (kg, mT) that a general one would take."""
 
-_UNITS: Final = ("V", "mV", "uV", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "s", "ms", "min", "h",
-                 "d", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm", "percent")  # fmt: skip
+_UNITS: Final = ("V", "mV", "uV", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s", "ms", "min",
+                 "h", "d", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm", "percent")  # fmt: skip
 
 _QUANTITY: Final = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*?)\s*")
 _UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?\d)?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?\d)?)*")
@@ -148,8 +149,17 @@ def _factor_of(unit: str, kind: QuantityKind, text: str) -> float | None:
 
 
 def _reads(kind: QuantityKind) -> BeforeValidator:
+    return BeforeValidator(lambda text: parse_quantity(text, kind))
+
+
+def not_negative(kind: QuantityKind) -> BeforeValidator:
+    """Return the validator of a size that has no sign: `Annotated[float, not_negative(DURATION)]`."""
+
     def read(value: object) -> float:
-        return parse_quantity(value, kind)
+        number = parse_quantity(value, kind)
+        if number < 0.0:
+            raise ValueError(f"{kind.expected}, not negative, got '{value}'")
+        return number
 
     return BeforeValidator(read)
 
@@ -164,15 +174,5 @@ AccelerationMS2 = Annotated[float, _reads(GRAVITY)]
 LengthM = Annotated[float, _reads(LENGTH)]
 FrequencyHz = Annotated[float, _reads(FREQUENCY)]
 Ratio = Annotated[float, _reads(RATIO)]
-
-
-def not_negative(kind: QuantityKind) -> BeforeValidator:
-    """Return the validator of a size that has no sign: `Annotated[float, not_negative(DURATION)]`."""
-
-    def read(value: object) -> float:
-        number = parse_quantity(value, kind)
-        if number < 0.0:
-            raise ValueError(f"{kind.expected}, not negative, got '{value}'")
-        return number
-
-    return BeforeValidator(read)
+SizeRad = Annotated[float, not_negative(ANGLE)]
+SpanS = Annotated[float, not_negative(DURATION)]

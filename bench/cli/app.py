@@ -309,7 +309,7 @@ def init(folder: Annotated[Path, typer.Argument(help="Folder to write into.")] =
 
 
 # imported here so that its commands stand after those above in the help
-import bench.cli.diagnose_options  # noqa: E402
+import bench.cli.diagnose  # noqa: E402
 import bench.cli.history_options  # noqa: E402
 import bench.cli.uncertainty_options  # noqa: E402, F401
 

@@ -19,8 +19,8 @@ from bench.files.bench.file import BenchFile, load_bench
 from bench.files.model import load_model
 from bench.model import ForwardModel
 from bench.procedure.plan import Plan, Read
-from bench.readings.table import UNORIENTED
 from bench.run.control import ControlFile
+from bench.run.events import EventType
 from bench.run.folder import BENCH, MODEL, Run
 from bench.run.log import RunLog
 from bench.run.record import History, Record, RecordError
@@ -88,12 +88,8 @@ def _assembly(
     bar = ProgressBar(run.plan, out, step_durations(run.plan))
     with bar:
         if run.simulated:
-            taken = [
-                event.data["reading"]
-                for event in (history.events if history else ())
-                if event.type == "step_done" and "reading" in event.data
-            ]
-            seed = int(run.manifest["seed"])
+            taken = [event.reading for event in (history.events if history else ()) if event.reading]
+            seed = run.manifest["seed"] or 0
             with dry_bench(bench, truth(run, bench), seed, wire, plan=run.plan, taken=taken) as assembly:
                 yield assembly, bar
         else:
@@ -110,17 +106,12 @@ def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
         readings=readings,
     )
 
-    def look(reading: dict[str, Any]) -> list[dict[str, Any]]:
-        if reading["installation"] in UNORIENTED:
-            return []
-        return [sign.to_json() for sign in warning.take(reading)]
-
     for event in history.events if history else ():
-        if event.type == "remounted":
+        if event.type == EventType.REMOUNTED:
             warning.remounted()
-        if event.type == "step_done" and "reading" in event.data:
-            look(event.data["reading"])
-    return look
+        if (reading := event.reading) is not None:
+            warning.take(reading)
+    return warning.take
 
 
 def truth(run: Run, bench: BenchFile) -> ForwardModel:
@@ -145,7 +136,7 @@ def _elapsed_s(history: History) -> float:
 
 
 def _recorded(run: Run) -> str:
-    done = sum(1 for e in Run(run.folder).history.events if e.type == "step_done" and "reading" in e.data)
+    done = sum(event.reading is not None for event in Run(run.folder).history.events)
     return f"{done} readings are kept in {run.folder}"
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench.analysis.history import Changes, Comparison, Drift, Snapshot, compare
+from bench.analysis.history.comparison import Changes, Comparison, Drift, Snapshot, compare
 from bench.base.numbers import fixed, places, probability
 from bench.cli import CommandError, printing
 from bench.cli.analyse import calibration_of

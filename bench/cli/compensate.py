@@ -10,7 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.analysis.calibration import Verification, verify
-from bench.analysis.temperature import CompensationTable, TemperatureModel, make_table, temperature_model
+from bench.analysis.temperature.estimate import temperature_model
+from bench.analysis.temperature.model import TemperatureModel
+from bench.analysis.temperature.table import CompensationTable, make_table
 from bench.analysis.temperature.table_files import c_header, table_csv, table_json
 from bench.base.numbers import fixed, places, scale_for
 from bench.cli import CommandError, printing

@@ -20,7 +20,7 @@ from bench.procedure.load import Procedure, check, load_procedure
 from bench.run.control import SIGN, leave_wish, parse_wish
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.run.prompts import confirm
-from bench.run.record import Record, RecordError, is_being_written
+from bench.run.record import Manifest, Record, RecordError, is_being_written
 from bench.run.signals import Interrupts
 from bench.run.states import ENDED
 from bench.run.terminal import TerminalPerson
@@ -77,7 +77,7 @@ def run(request: Request) -> int:
         load_model(request.model, bench.installation_models())
         inputs[MODEL] = request.model.read_bytes()
     name = checked_name(request.name or free_name(plan.name, request.runs))
-    manifest = {
+    manifest: Manifest = {
         "name": name,
         "created": utc_now().isoformat(),
         "dry_run": request.dry_run,

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from itertools import count
-from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from bench.cli import diagnose, printing
+from bench.analysis.diagnosis.full import FullDiagnosis
+from bench.analysis.diagnosis.next_measurement import Proposal
+from bench.cli import printing
+from bench.cli.diagnose import diagnosed
 from bench.cli.source import Request
 from bench.run.folder import Run
 from bench.run.prompts import YES, ask
@@ -26,38 +26,36 @@ def follow(run: Run, carry_out: Callable[[str, str], int]) -> int:
     instruments the person is asked before. Returns that status, 0 where there is nothing more to measure.
     """
     out = printing.console()
-    following = _diagnosed([run])["next_measurement"]
-    if following is None:
+    proposal = _diagnosed([run]).next_measurement
+    if proposal is None:
         out.print(f"{run.name}: no procedure would tell more")
         return 0
-    procedure = following["procedure"]
-    if not run.simulated and not _agreed(procedure, following["minutes"], out):
-        out.print(f"{run.name}: not measured further; later with: bench run {procedure}")
+    if not run.simulated and not _agreed(proposal, out):
+        out.print(f"{run.name}: not measured further; later with: bench run {proposal.procedure}")
         return 0
     further = next(f for n in count(2) if not (f := run.folder.with_name(f"{run.name}-{n}")).exists())
-    status = carry_out(procedure, further.name)
+    status = carry_out(str(proposal.procedure), further.name)
     _diagnosed([run, Run(further)])
     return status
 
 
-def _diagnosed(runs: list[Run]) -> dict[str, Any]:
-    """Diagnose runs as one body of data, tell it, and return the result, which the last run's folder keeps."""
+def _diagnosed(runs: list[Run]) -> FullDiagnosis:
+    """Diagnose runs as one body of data and print it; the last run's folder keeps the JSON."""
     names = [str(run.folder) for run in runs]
     request = Request(
         sources=names, runs=runs[0].folder.parent, bench=None, model=None, g_m_s2=None, out=None,
         skip_bad_rows=False,
     )  # fmt: skip
     file = runs[-1].folder / ("diagnose-together.json" if len(runs) > 1 else "diagnose.json")
-    diagnose.diagnose(request, diagnose.Options(together=len(runs) > 1), str(file))
-    result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    (result,) = diagnosed(request, str(file), together=len(runs) > 1)
     return result
 
 
-def _agreed(procedure: str, minutes: float, out: Console) -> bool:
+def _agreed(proposal: Proposal, out: Console) -> bool:
     prompt = Prompt(
         id="follow",
         kind=PromptKind.CONFIRM,
-        text=f"Carry out {Path(procedure).name} now (about {minutes:.0f} min)?",
+        text=f"Carry out {proposal.procedure.name} now (about {proposal.minutes:.0f} min)?",
         action={"do": "answer"},
     )
     try:

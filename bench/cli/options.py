@@ -28,11 +28,11 @@ class WithEstimators(TyperCommand):
 
     def get_help(self, ctx: Any) -> str:
         """Return the help."""
-        from bench.analysis.calibration.estimators import told_estimators
+        from bench.analysis.calibration.estimators import estimators_in_words
 
         for option in self.params:
             if isinstance(option, TyperOption) and option.help in {ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET}:
-                option.help = told_estimators(budget=option.help == ESTIMATORS_IN_A_BUDGET)
+                option.help = estimators_in_words(budget=option.help == ESTIMATORS_IN_A_BUDGET)
         return super().get_help(ctx)
 
 

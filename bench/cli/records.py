@@ -14,7 +14,7 @@ from bench.cli.source import Request, bench_path, load_sources, write_json
 from bench.files.bench.file import load_bench
 from bench.readings.csv import format_csv, read_csv
 from bench.run.folder import BENCH, IMPORTED, Run, all_runs, checked_name, find_run
-from bench.run.record import Record, RecordError, is_being_written
+from bench.run.record import Manifest, Record, RecordError, is_being_written
 from bench.run.resume import resume_point
 from bench.run.states import ENDED, RunState
 from bench.run.terminal import duration
@@ -161,7 +161,7 @@ def import_file(file: Path, name: str | None, bench: str | None, folder: Path) -
     path = bench_path(bench)
     readings = read_csv(file, load_bench(path).installation_models())
     run = Run(folder / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
-    manifest = {
+    manifest: Manifest = {
         "name": run.name,
         "created": utc_now().isoformat(),
         "imported": str(file),

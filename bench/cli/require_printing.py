@@ -8,7 +8,7 @@ from typing import Final
 
 from rich.table import Table
 
-from bench.analysis.budget import ErrorSource
+from bench.analysis.budget.sources import ErrorSource
 from bench.analysis.planning.requirements import Limit, Requirement
 from bench.base.arrays import ARCSEC
 from bench.base.numbers import figures

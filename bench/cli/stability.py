@@ -11,21 +11,10 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.analysis.calibration import CalibrationError
-from bench.analysis.stability import (
-    TERMS,
-    AllanCurve,
-    Averaging,
-    NoiseTerms,
-    ReadingAdvice,
-    StaticRecord,
-    allan_curve,
-    averaging,
-    fit_terms,
-    from_columns,
-    read_static,
-    reading_advice,
-)
-from bench.analysis.stability.noise_terms import MISFIT_P
+from bench.analysis.stability.advice import Averaging, ReadingAdvice, averaging, reading_advice
+from bench.analysis.stability.allan import AllanCurve, allan_curve
+from bench.analysis.stability.noise_terms import MISFIT_P, TERMS, NoiseTerms, fit_terms
+from bench.analysis.stability.static_record import StaticRecord, from_columns, read_static
 from bench.base.numbers import MINUS, probability, quantity
 from bench.cli import CommandError, printing
 from bench.cli.source import bench_path, check_target, to_text, write_beside, write_json

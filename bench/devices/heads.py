@@ -8,13 +8,11 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import ANGLE, DURATION, AngleRad, QuantityKind, not_negative
+from bench.base.units import AngleRad, QuantityKind, SizeRad, SpanS, not_negative
 from bench.devices.wires import IdentityPattern, PortSection, WiredForm, driver_of, resource_on
 
 SPEED: Final = QuantityKind("a speed of turning", "10 deg/s", "rad/s")
 
-SizeRad = Annotated[float, not_negative(ANGLE)]
-SpanS = Annotated[float, not_negative(DURATION)]
 SpeedRadS = Annotated[float, not_negative(SPEED)]
 
 _MOST_STEPS: Final = 2**31 - 1

@@ -14,6 +14,26 @@ COEFFICIENTS: Final = (
 )  # fmt: skip
 """The twelve coefficients in the order of every vector and covariance of this application."""
 
+HIDDEN: Final = 1e-3
+"""A direction is left open whose singular value is no more than this part of the largest."""
+
+
+def linear_columns(force: Floats) -> Floats:
+    """Return what a channel is linear in, shape (n, 4): the specific force (n, 3), and one for its bias."""
+    return np.column_stack([force, np.ones(len(force))])
+
+
+def hidden_axes(force: Floats) -> list[str]:
+    """Return which of x, y, z, and 0 for the biases, take part in what readings at these forces leave open.
+
+    `force` (n, 3) in g; none for readings that determine the twelve coefficients.
+    """
+    _, size, directions = np.linalg.svd(np.linalg.qr(linear_columns(force), mode="r"))
+    size = np.concatenate([size, np.zeros(4 - len(size))])
+    null = np.abs(directions[size <= HIDDEN * max(size[0], 1e-300)])
+    largest = null.max(axis=0, initial=0.0)
+    return [axis for axis, part in zip("xyz0", largest, strict=True) if part > HIDDEN]
+
 
 @dataclass(frozen=True)
 class Block:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -96,6 +96,26 @@ class Conditions:
         order = np.argsort(self.elapsed_s[known], kind="stable")
         between = np.interp(self.elapsed_s, self.elapsed_s[known][order], warmth[known][order])
         return np.where(known, warmth, between)
+
+    def select(self, rows: Mask) -> Conditions:
+        """Return the rows where the mask (n,) is true, with the mountings that they are of."""
+        used, mount = np.unique(self.mount[rows], return_inverse=True)
+        kept: dict[str, Any] = {name: column[rows] for name, column in self._columns().items()}
+        mounts = tuple(self.mounts[i] for i in used)
+        return replace(self, mounts=mounts, mount=mount.ravel().astype(np.int64), **kept)
+
+    def repeated(self, times: int) -> Conditions:
+        """Return the rows so many times over, each time in mountings of their own."""
+        mount = (np.arange(times)[:, None] * len(self.mounts) + self.mount).ravel()
+        tiled: dict[str, Any] = {
+            name: np.concatenate([column] * times) for name, column in self._columns().items()
+        }
+        return replace(self, mounts=self.mounts * times, mount=mount, **tiled)
+
+    def _columns(self) -> dict[str, Any]:
+        """The arrays that have a value for each row, but for the mounting."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in {"mount", "turns"}}
+        return {name: column for name, column in columns.items() if isinstance(column, np.ndarray)}
 
     @classmethod
     def of(

@@ -10,7 +10,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.model.block import Block
 from bench.model.conditions import Conditions
-from bench.model.effects import AppliedEffect, Stage
+from bench.model.effects import AppliedEffect, Seen, Stage
 from bench.model.geometry import Installation, specific_force_on_platform
 
 _UNKNOWN_TURN = np.full((3, 3), np.nan)
@@ -34,11 +34,7 @@ class ForwardModel:
         return any(applied.effect.needs_history for applied in self.effects)
 
     def specific_force(
-        self,
-        conditions: Conditions,
-        stand_rad: Floats,
-        block: Block,
-        setting_error_rad: Floats | float = 0.0,
+        self, conditions: Conditions, stand_rad: Floats, block: Block, setting_error_rad: Floats | float = 0.0
     ) -> Floats:
         """Return the specific force on block axes in g, shape (n, 3).
 
@@ -52,11 +48,7 @@ class ForwardModel:
         return force + self._additions(Stage.SPECIFIC_FORCE, force, conditions, block)
 
     def readings(
-        self,
-        block: Block,
-        conditions: Conditions,
-        stand_rad: Floats,
-        setting_error_rad: Floats | float = 0.0,
+        self, block: Block, conditions: Conditions, stand_rad: Floats, setting_error_rad: Floats | float = 0.0
     ) -> Floats:
         """Return the readings that the model predicts, in volts, shape (n, 3); arguments as above."""
         force = self.specific_force(conditions, stand_rad, block, setting_error_rad)
@@ -115,16 +107,15 @@ class ForwardModel:
         angle = conditions.angle_rad + setting_error_rad
         angle = angle + self._additions(Stage.HEAD_ANGLE, angle, conditions, block)
         on_platform = specific_force_on_platform(angle, stand)
-        force: Floats = np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform)
-        return force
+        return np.asarray(np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform))
 
     def _additions(self, stage: Stage, signal: Floats, conditions: Conditions, block: Block) -> Floats:
         total = np.zeros_like(signal)
         for applied in self.effects:
             if applied.effect.stage is stage:
                 needs_path = applied.effect.needs_path
-                seen = replace(conditions, turns=self._turns(conditions)) if needs_path else conditions
-                total = total + applied.addition(signal, seen, block)
+                rows = replace(conditions, turns=self._turns(conditions)) if needs_path else conditions
+                total = total + applied.addition(Seen(signal, rows, block))
         return total
 
     def _turns(self, conditions: Conditions) -> Floats:

@@ -36,6 +36,11 @@ def stand_errors(**angles_rad: float) -> Floats:
     return np.array([angles_rad.get(name, 0.0) for name in STAND_ANGLES], dtype=np.float64)
 
 
+def within_half_turn(angle_rad: Floats) -> Floats:
+    """Return angles less the whole turns in them, from minus to plus half a turn."""
+    return angle_rad - 2 * np.pi * np.round(angle_rad / (2 * np.pi))
+
+
 def frame_rotation(axis: str, angle_rad: float) -> Floats:
     """Return the 3x3 matrix that gives components in a frame turned by `angle_rad` about x, y or z."""
     s, c = np.sin(angle_rad), np.cos(angle_rad)

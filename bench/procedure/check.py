@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.base.words import APPROACH
 from bench.files.bench.file import BenchFile
-from bench.model.block import COEFFICIENTS
+from bench.model.block import COEFFICIENTS, hidden_axes
 from bench.procedure.plan import Ask, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.table import UNORIENTED, VERIFICATION
@@ -77,17 +78,17 @@ def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     if bench.head_limits_rad is None:
         return
     low_rad, high_rad = bench.head_limits_rad
-    told: set[tuple[float, int]] = set()
+    looked_at: set[tuple[float, int]] = set()
     for step in plan.steps:
-        if not isinstance(step, Turn) or (step.target_rad, step.direction) in told:
+        if not isinstance(step, Turn) or (step.target_rad, step.direction) in looked_at:
             continue
-        told.add((step.target_rad, step.direction))
+        looked_at.add((step.target_rad, step.direction))
         start_rad = step.target_rad - step.direction * bench.head_backoff_rad
         lowest, highest = sorted((step.target_rad, start_rad))
         if lowest < low_rad - ROUNDING_RAD or highest > high_rad + ROUNDING_RAD:
             yield (
                 f"step {step.key}: the head may go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°, but "
-                f"{'rising' if step.direction > 0 else 'falling'} to {np.degrees(step.target_rad):g}° needs "
+                f"{APPROACH[step.direction]} to {np.degrees(step.target_rad):g}° needs "
                 f"{np.degrees(lowest):g}° to {np.degrees(highest):g}°"
             )
 
@@ -221,13 +222,6 @@ def _is_fitted(step: Read, turns: dict[str, Floats]) -> bool:
 
 
 def undetermined(force: Floats) -> tuple[str, ...]:
-    """Return the coefficients that readings at these specific forces (n, 3) leave open, none for a calibration.
-
-    By the rank of the nominal design, with the threshold of `bench.analysis.calibration.assumptions.require_rank`.
-    """
-    columns = np.column_stack([force, np.ones(len(force))])
-    _, size, directions = np.linalg.svd(np.linalg.qr(columns, mode="r"))
-    size = np.concatenate([size, np.zeros(4 - len(size))])
-    null = np.abs(directions[size <= 1e-3 * size[0]])
-    open_ = [axis for axis, part in zip("xyz0", null.max(axis=0, initial=0.0), strict=True) if part > 1e-3]
-    return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in open_)
+    """Return the coefficients that readings at these specific forces (n, 3) leave open, none for a calibration."""
+    hidden = hidden_axes(force)
+    return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in hidden)

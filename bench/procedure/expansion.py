@@ -34,9 +34,9 @@ from bench.procedure.plan import (
     Step,
     Turn,
     Wait,
-    told_mount,
 )
 from bench.procedure.sections import FailureSection, ReadingSection, SettleForm, SettleVerb
+from bench.procedure.steps import mount_in_words
 from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Direction
 
@@ -69,7 +69,12 @@ class _Context:
         return self.installation if self.series == 1 else f"{self.installation}s{self.series}"
 
     @property
-    def told_point(self) -> str:
+    def place(self) -> tuple[str, int, int, int]:
+        """Installation, series, pass and point."""
+        return self.installation, self.series, self.pass_number, self.point
+
+    @property
+    def place_key(self) -> str:
         """The point as it stands in a key."""
         return f"{self.mount}.{self.pass_number}.{self.point}"
 
@@ -107,7 +112,7 @@ class Expansion:
         self._read: set[tuple[str, int, int, int]] = set()
         self._measured: set[tuple[str, int]] = set()
         self._input_points: Counter[tuple[str, int, int]] = Counter()
-        self._told: set[tuple[Path, Place]] = set()
+        self._noted: set[tuple[Path, Place]] = set()
 
     def run(self, root: Path) -> tuple[Step, ...]:
         """Return the steps of the procedure in the file `root`."""
@@ -127,8 +132,8 @@ class Expansion:
 
     def _once(self, context: _Context, place: Place, text: str) -> None:
         """Note a mistake of a place once, however often the place is repeated."""
-        if (context.document.path, place) not in self._told:
-            self._told.add((context.document.path, place))
+        if (context.document.path, place) not in self._noted:
+            self._noted.add((context.document.path, place))
             self.mistakes.append((context.document, context.document.mistake(place, text)))
 
     def _all(self, entries: Sequence[StepEntry], place: Place, context: _Context) -> None:
@@ -164,7 +169,7 @@ class Expansion:
     def _installation(self, verb: InstallationVerb, place: Place, context: _Context) -> None:
         series = verb.series or self._next_series(verb.label)
         if (verb.label, series) in self._mounted:
-            where = told_mount(verb.label, series)
+            where = mount_in_words(verb.label, series)
             text = f"installation {where} was visited before; give this visit a series of its own"
             self._once(context, (*place, "series"), text)
         self._mounted.add((verb.label, series))
@@ -190,18 +195,8 @@ class Expansion:
         points = list(enumerate(verb.angles_rad, start=verb.first_point))
         for point, target_rad in points if direction > 0 else reversed(points):
             here = replace(context, direction=direction, point=point, target_rad=target_rad)
-            self._steps.append(
-                Turn(
-                    self._key("turn", here.told_point),
-                    here.installation,
-                    here.series,
-                    here.pass_number,
-                    point,
-                    target_rad,
-                    direction,
-                    here.failure(),
-                )
-            )
+            key = self._key("turn", here.place_key)
+            self._steps.append(Turn(key, *here.place, target_rad, direction, here.failure()))
             self._all_or_reading(verb.steps, place, here)
 
     def _all_or_reading(self, steps: Sequence[StepEntry] | None, place: Place, context: _Context) -> None:
@@ -240,35 +235,25 @@ class Expansion:
         self._append_read(verb, here, None, None)
 
     def _read_point(self, verb: ReadVerb, place: Place, context: _Context) -> None:
-        identity = (context.installation, context.series, context.pass_number, context.point)
-        if identity in self._read:
-            where = told_mount(context.installation, context.series)
+        if context.place in self._read:
+            where = mount_in_words(context.installation, context.series)
             text = (
                 f"point {context.point} of pass {context.pass_number} in installation {where} is read a "
                 "second time; number the points on with 'first_point', or put both into one repeat"
             )
             self._once(context, place, text)
-        self._read.add(identity)
+        self._read.add(context.place)
         self._measured.add((context.installation, context.series))
         self._append_read(verb, context, context.target_rad, context.direction)
 
     def _append_read(
         self, verb: ReadVerb, context: _Context, target_rad: float | None, direction: Direction | None
     ) -> None:
+        key = self._key("read", context.place_key)
+        samples, nplc = verb.samples or context.reading.samples, verb.nplc or context.reading.nplc
+        failure = context.failure(verb.on_failure, context.reading.on_failure)
         self._steps.append(
-            Read(
-                self._key("read", context.told_point),
-                context.installation,
-                context.series,
-                context.pass_number,
-                context.point,
-                target_rad,
-                direction,
-                verb.samples or context.reading.samples,
-                verb.nplc or context.reading.nplc,
-                context.failure(verb.on_failure, context.reading.on_failure),
-                context.scan,
-            )
+            Read(key, *context.place, target_rad, direction, samples, nplc, failure, context.scan)
         )
 
     def _wait(self, duration_s: float, reason: str) -> None:
@@ -276,22 +261,10 @@ class Expansion:
 
     def _settle(self, verb: SettleVerb) -> None:
         key = self._key("settle")
-        settle = Settle(key, verb.what, verb.precision, verb.window, verb.timeout, verb.interval)
-        self._steps.append(settle)
+        self._steps.append(Settle(key, verb.what, verb.precision, verb.window, verb.timeout, verb.interval))
 
     def _prompt(self, verb: PromptVerb) -> None:
-        key = self._key("ask")
-        asked = Ask(
-            key,
-            verb.kind,
-            verb.text,
-            verb.default,
-            verb.unit,
-            verb.choices,
-            verb.minimum,
-            verb.maximum,
-        )
-        self._steps.append(asked)
+        self._steps.append(Ask(self._key("ask"), **dict(verb)))
 
     def _temperature(self, verb: TemperatureVerb | TemperaturesVerb, at_c: float) -> None:
         self._steps.append(SetTemperature(self._key("temperature"), at_c))

@@ -19,24 +19,16 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import (
-    AfterValidator,
-    Discriminator,
-    Field,
-    Tag,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import AngleRad, TemperatureC, VoltageV
+from bench.base.units import AngleRad, SpanS, TemperatureC, VoltageV
 from bench.procedure.sections import (
     FailureSection,
     OperatorTimeSection,
     Positive,
     ReadingSection,
     SettleVerb,
-    SpanS,
     TemperatureSettle,
 )
 from bench.readings.table import UNORIENTED, scan_order

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Final, get_args
 
-import numpy as np
-
-from bench.procedure.plan import Plan, Read, Step, Turn, told_place, told_scan
+from bench.base.words import APPROACH, degrees
+from bench.procedure.plan import Plan, Read, Step, Turn
+from bench.procedure.steps import scan_in_words
 
 LONGEST_PERIOD: Final = 24
 """Steps of one point at most that are looked at as a pattern."""
@@ -49,7 +49,7 @@ def listing(plan: Plan, *, every_step: bool = False) -> Iterator[Line]:
     blocks = list(_blocks(steps))
     for start, period, times in _folded([block.shape for block in blocks], FEWEST_PASSES):
         for block in blocks[start : start + period]:
-            yield Line(block.start + 1, block.end, _told(steps, block))
+            yield Line(block.start + 1, block.end, _block_in_words(steps, block))
         if times > 1:
             rest = blocks[start + period : start + period * times]
             more = f"the same {times - 1} times more, to {_where(steps[rest[-1].end - 1])}"
@@ -103,7 +103,7 @@ def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
 # --- in words ---------------------------------------------------------------------------------------
 
 
-def _told(steps: Sequence[Step], block: _Block) -> str:
+def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
     """Say what a block does."""
     if block.times == 1 and block.period == 1:
         return steps[block.start].describe()
@@ -123,12 +123,11 @@ def _where(step: Step) -> str:
     """Say at which point a step is done; what belongs to none is described."""
     if not isinstance(step, Turn | Read):
         return step.describe()
-    return f"{told_place(step)}, pass {step.pass_number}, point {step.point}"
+    return step.where()
 
 
 def _span(first: Turn, last: Turn) -> str:
-    word = "rising" if first.direction > 0 else "falling"
-    return f", {word}, {_degrees(first.target_rad)} to {_degrees(last.target_rad)}"
+    return f", {APPROACH[first.direction]}, {degrees(first.target_rad)} to {degrees(last.target_rad)}"
 
 
 def _doing(step: Step) -> str:
@@ -137,10 +136,6 @@ def _doing(step: Step) -> str:
         case Turn():
             return "turn"
         case Read():
-            return f"read {step.samples} × {step.nplc:g} NPLC{told_scan(step)}"
+            return f"read {step.samples} × {step.nplc:g} NPLC{scan_in_words(step)}"
         case _:
             return step.describe()
-
-
-def _degrees(angle_rad: float) -> str:
-    return f"{round(float(np.degrees(angle_rad)), 6):g}°"

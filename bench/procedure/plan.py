@@ -24,16 +24,12 @@ from bench.procedure.steps import (
     Step,
     Turn,
     Wait,
-    told_duration,
-    told_mount,
-    told_place,
-    told_scan,
+    mount_in_words,
 )
 from drivers.interfaces import PromptKind
 
 __all__ = ["SETTLING", "Ask", "InputSource", "Mount", "OnFailure", "OperatorTime", "Plan", "Read",
-           "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait", "told_duration",
-           "told_mount", "told_place", "told_scan"]  # fmt: skip
+           "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait"]  # fmt: skip
 
 _SAMPLE_OVERHEAD_S: Final = 0.01
 
@@ -133,7 +129,7 @@ class Plan:
         mounted = ""
         for step in self.steps:
             if isinstance(step, Mount):
-                mounted = told_mount(step.installation, step.series)
+                mounted = mount_in_words(step.installation, step.series)
             total[mounted] = total.get(mounted, 0.0) + self.step_duration_s(step, line_hz)
         return total
 

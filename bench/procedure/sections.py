@@ -7,10 +7,9 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import DURATION, DurationS, QuantityKind, VoltageV, not_negative, parse_quantity
+from bench.base.units import DurationS, QuantityKind, SpanS, VoltageV, parse_quantity
 from bench.procedure.plan import OnFailure, OperatorTime
 
-SpanS = Annotated[float, not_negative(DURATION)]
 Positive = Annotated[int, Field(ge=1)]
 
 TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol, TypeVar
 
-import numpy as np
-
+from bench.base.words import APPROACH, degrees, duration
 from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Channel, Direction, PromptKind
 
@@ -23,10 +22,8 @@ InputSource = Literal["signal", "short", "reference"]
 SETTLING: Final = "settling"
 """The reason of a wait between a turn and its reading."""
 
-_APPROACH: Final[Mapping[Direction, str]] = {1: "rising", -1: "falling"}
 _UNITS: Final[Mapping[Settled, str]] = {"signals": "V", "temperature": "K"}
 _INPUTS: Final = {SHORTED: "the shorted input", REFERENCE: "the reference input"}
-_SECONDS: Final = ((3600.0, "h"), (60.0, "min"), (1.0, "s"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,27 +44,41 @@ class Mount:
 
     def describe(self) -> str:
         """Say in one line what is done."""
-        return f"mount the block in installation {told_mount(self.installation, self.series)}"
+        return f"mount the block in installation {mount_in_words(self.installation, self.series)}"
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
-    """The head is turned to an angle, arriving with rising (+1) or falling (-1) angle."""
+class _AtPoint:
+    """A step at a point: in which installation, on which visit to it, in which pass."""
 
     key: str
     installation: str
     series: int
     pass_number: int
     point: int
+
+    def place(self) -> str:
+        """Say what is turned or read: "installation 1", "the shorted input", with a further series."""
+        if self.installation in _INPUTS:
+            return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
+        return f"installation {mount_in_words(self.installation, self.series)}"
+
+    def where(self) -> str:
+        """Say in words at which point of which pass it is."""
+        return f"{self.place()}, pass {self.pass_number}, point {self.point}"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn(_AtPoint):
+    """The head is turned to an angle, arriving with rising (+1) or falling (-1) angle."""
+
     target_rad: float
     direction: Direction
     on_failure: OnFailure = OnFailure()
 
     def describe(self) -> str:
         """Say in one line what is done."""
-        return (
-            f"turn the head to {_degrees(self.target_rad)}, {_APPROACH[self.direction]}, for {_point(self)}"
-        )
+        return f"turn the head to {degrees(self.target_rad)}, {APPROACH[self.direction]}, for {self.where()}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +91,7 @@ class Wait:
 
     def describe(self) -> str:
         """Say in one line what is done."""
-        return f"wait {told_duration(self.duration_s)}: {self.reason}"
+        return f"wait {duration(self.duration_s)}: {self.reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +113,8 @@ class Settle:
         """Say in one line what is done."""
         whose = "signals stay" if self.what == "signals" else "temperature stays"
         return (
-            f"wait until the {whose} within {told_precision(self)} for {told_duration(self.window_s)}, "
-            f"at most {told_duration(self.timeout_s)}"
+            f"wait until the {whose} within {precision_in_words(self)} for {duration(self.window_s)}, "
+            f"at most {duration(self.timeout_s)}"
         )
 
 
@@ -127,18 +138,13 @@ class SelectInput:
 
 
 @dataclass(frozen=True, slots=True)
-class Read:
+class Read(_AtPoint):
     """The voltmeters take one reading: `samples` samples of `nplc` power-line cycles each.
 
     A reading of the shorted or reference input (installation S, R) has neither target nor direction. `scan` is
     the order in which the channels are read, such as "zyx"; empty for that of the bench file.
     """
 
-    key: str
-    installation: str
-    series: int
-    pass_number: int
-    point: int
     target_rad: float | None
     direction: Direction | None
     samples: int
@@ -148,10 +154,10 @@ class Read:
 
     def describe(self) -> str:
         """Say in one line what is done."""
-        where = "" if self.target_rad is None else f" at {_degrees(self.target_rad)}"
+        where = "" if self.target_rad is None else f" at {degrees(self.target_rad)}"
         return (
-            f"read {_point(self)}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
-            f"{told_scan(self)}"
+            f"read {self.where()}{where}: {self.samples} samples of {self.nplc:g} power-line cycles"
+            f"{scan_in_words(self)}"
         )
 
 
@@ -216,20 +222,12 @@ def read_order(meters: Sequence[_HasChannels]) -> str:
 # --- in words ---------------------------------------------------------------------------------------
 
 
-def told_mount(installation: str, series: int) -> str:
+def mount_in_words(installation: str, series: int) -> str:
     """Return an installation as it is told: "1", on a later visit "1 (series 2)"."""
     return installation if series == 1 else f"{installation} (series {series})"
 
 
-def told_duration(seconds: float) -> str:
-    """Return a duration in the largest unit in which it is a plain number: "1 h", "90 s"."""
-    for size, unit in _SECONDS:
-        if seconds >= size and seconds % size == 0.0:
-            return f"{seconds / size:g} {unit}"
-    return f"{seconds:g} s"
-
-
-def told_precision(step: Settle) -> str:
+def precision_in_words(step: Settle) -> str:
     """Return the precision of a settling with its unit: "50 µV", "0.1 K"."""
     if step.what == "signals" and step.precision < 0.01:
         size, unit = (1e-6, "µV") if step.precision < 1e-3 else (1e-3, "mV")
@@ -237,21 +235,6 @@ def told_precision(step: Settle) -> str:
     return f"{step.precision:g} {_UNITS[step.what]}"
 
 
-def told_place(step: Turn | Read) -> str:
-    """Return what a step turns in or reads: "installation 1", "the shorted input", with a further series."""
-    if step.installation in _INPUTS:
-        return _INPUTS[step.installation] + ("" if step.series == 1 else f" (series {step.series})")
-    return f"installation {told_mount(step.installation, step.series)}"
-
-
-def told_scan(step: Read) -> str:
+def scan_in_words(step: Read) -> str:
     """Return in which order the channels are read, to be told after the rest; empty where nothing is said."""
     return f", the channels in the order {', '.join(step.scan)}" if step.scan else ""
-
-
-def _point(step: Turn | Read) -> str:
-    return f"{told_place(step)}, pass {step.pass_number}, point {step.point}"
-
-
-def _degrees(angle_rad: float) -> str:
-    return f"{round(float(np.degrees(angle_rad)), 6):g}°"

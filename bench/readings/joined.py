@@ -34,8 +34,8 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
     """
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:
-        told = ", ".join(f"{source} in {unit}" for unit, source in units.items())
-        raise ValueError(f"signals in different units cannot be taken together: {told}")
+        each = ", ".join(f"{source} in {unit}" for unit, source in units.items())
+        raise ValueError(f"signals in different units cannot be taken together: {each}")
     ordered, starts, real = _starts(parts)
     tables: list[Readings] = []
     notes: list[str] = []

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.analysis.history.comparison import COVERAGE, Comparison
+from bench.analysis.calibration.verification import COVERAGE_FACTOR
+from bench.analysis.history.comparison import Comparison
 from bench.base.numbers import scale_for
 from bench.model.block import COEFFICIENTS
-from bench.report.plots import BLUE, VERMILION, symbol
-from bench.report.svg_file import svg_file
+from bench.report.plots import BLUE, GREY, VERMILION, svg_file, symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,7 +22,7 @@ def history_figure(comparison: Comparison) -> str:
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
     dated = len(dates) == len(snapshots)
     values = np.array([snapshot.vector for snapshot in snapshots]) - comparison.first.vector
-    bars = COVERAGE * np.sqrt([np.diag(snapshot.covariance) for snapshot in snapshots])
+    bars = COVERAGE_FACTOR * np.sqrt([np.diag(snapshot.covariance) for snapshot in snapshots])
     changed = np.any([changes.changed for changes in comparison.changes], axis=0)
     scale = scale_for(float(np.max(np.abs(values) + bars)), comparison.first.unit)
 
@@ -31,7 +31,7 @@ def history_figure(comparison: Comparison) -> str:
         for j, name in enumerate(COEFFICIENTS):
             axes = grid.flat[j]
             along = dates if dated else list(range(1, len(snapshots) + 1))
-            axes.axhline(0.0, color="#5F6B76", linewidth=0.7)
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
             axes.errorbar(
                 along, values[:, j] / scale.size, bars[:, j] / scale.size,
                 fmt="X" if changed[j] else "o", color=VERMILION if changed[j] else BLUE, capsize=2.5,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -61,58 +62,87 @@ def write_report(content: ReportContent, path: Path) -> None:
     path.write_text(render_report(content), encoding="utf-8")
 
 
-def verdict(verification: Verification | None) -> dict[str, Any]:
-    """Return the verdict in words: `state` (passed, failed, none), the worst point, limit and rule."""
+@dataclass(frozen=True)
+class VerdictInWords:
+    """The verdict: `state` (passed, failed, none), the worst point, limit and rule, how many points are what."""
+
+    state: str
+    worst: str = ""
+    u: str = ""
+    expanded: str = ""
+    unit: str = ""
+    where: str = ""
+    limit: str = ""
+    rule: str = ""
+    rule_in_words: str = ""
+    near: int = 0
+    points: int = 0
+    missing: int = 0
+    outside: int = 0
+
+
+def verdict(verification: Verification | None) -> VerdictInWords:
+    """Return the verdict of a verification, "none" where there was none."""
     if verification is None:
-        return {"state": "none"}
+        return VerdictInWords("none")
     worst = max(verification.points, key=lambda p: abs(p.delta_g))
     scale = scale_for(verification.limit_g, "g")
     decimals = max(places(worst.u / scale.size), 0)
     near = sum(tables.near_limit(p.delta_g, p.u, verification.limit_g) for p in verification.points)
-    return {
-        "state": "passed" if verification.passed else "failed",
-        "worst": fixed(abs(worst.delta_g) / scale.size, decimals),
-        "u": two_digits(worst.u / scale.size),
-        "expanded": two_digits(2.0 * worst.u / scale.size),
-        "unit": scale.unit,
-        "where": f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})",
-        "limit": f"{verification.limit_g / scale.size:g}",
-        "rule": verification.rule,
-        "rule_in_words": RULES.get(verification.rule, ""),
-        "near": near,
-        "points": len(verification.points),
-        "missing": verification.missing,
-        "outside": sum(not p.passed for p in verification.points),
-    }
+    return VerdictInWords(
+        state="passed" if verification.passed else "failed",
+        worst=fixed(abs(worst.delta_g) / scale.size, decimals),
+        u=two_digits(worst.u / scale.size),
+        expanded=two_digits(2.0 * worst.u / scale.size),
+        unit=scale.unit,
+        where=f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})",
+        limit=f"{verification.limit_g / scale.size:g}",
+        rule=verification.rule,
+        rule_in_words=RULES.get(verification.rule, ""),
+        near=near,
+        points=len(verification.points),
+        missing=verification.missing,
+        outside=sum(not p.passed for p in verification.points),
+    )
 
 
-def fit_in_words(fit: LackOfFit) -> dict[str, Any]:
-    """Return the lack of fit in words: `state` (fits, misfits, unknown), the figures and a sentence."""
+@dataclass(frozen=True)
+class FitInWords:
+    """The lack of fit: `state` (fits, misfits, unknown), the figures, what they say, short and as a sentence."""
+
+    state: str
+    figures: str
+    short: str
+    sentence: str
+
+
+def fit_in_words(fit: LackOfFit) -> FitInWords:
+    """Return what a lack-of-fit test says."""
     if not math.isfinite(fit.p):
-        return {
-            "state": "unknown",
-            "figures": "",
-            "short": "cannot be judged: too few repeats",
-            "sentence": "Whether the model fits cannot be judged: the readings hold too few repeats to tell "
+        return FitInWords(
+            "unknown",
+            "",
+            "cannot be judged: too few repeats",
+            "Whether the model fits cannot be judged: the readings hold too few repeats to tell "
             "misfit from scatter.",
-        }
+        )
     figures = f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}"
     if fit.p >= FITS:
-        return {
-            "state": "fits",
-            "figures": figures,
-            "short": "no lack of fit shown at 1 %",
-            "sentence": "No lack of fit is shown: what the model leaves the scatter of the repeats explains; "
+        return FitInWords(
+            "fits",
+            figures,
+            "no lack of fit shown at 1 %",
+            "No lack of fit is shown: what the model leaves the scatter of the repeats explains; "
             f"chance alone would leave more in {_percent(fit.p)} of calibrations.",
-        }
-    return {
-        "state": "misfits",
-        "figures": figures,
-        "short": "the model does not fit the readings",
-        "sentence": "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
+        )
+    return FitInWords(
+        "misfits",
+        figures,
+        "the model does not fit the readings",
+        "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
         f"alone would leave as much in {_percent(fit.p)} of calibrations. The stated uncertainties do not "
         "cover what is missing from the model; the residuals show where it acts.",
-    }
+    )
 
 
 def _percent(p: float) -> str:

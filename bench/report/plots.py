@@ -10,14 +10,17 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from bench.analysis.budget.propagation import correlation_of
 from bench.analysis.calibration import Calibration, Verification
-from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Mask
 from bench.base.numbers import MINUS, Scale, scale_for
+from bench.base.words import APPROACH
 from bench.model.block import COEFFICIENTS
 from bench.model.conditions import Mounting
 
@@ -26,18 +29,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-BLUE, VERMILION, GREEN, PURPLE, ORANGE, GREY = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#5F6B76",
-)
+BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
+PURPLE, ORANGE, GREY = "#CC79A7", "#E69F00", "#5F6B76"
 PASS_COLOURS: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)
 PASS_FILLS: Final = ("full", "none", "bottom", "left", "top")
 MARKERS: Final = {1: "^", -1: "v", 0: "o"}
-APPROACH: Final = {1: "rising", -1: "falling", 0: ""}
 DODGE_DEG: Final = 5.0
 """Passes at the same angle stand apart by this much, so that no reading hides another."""
 
@@ -100,11 +96,8 @@ def residuals_in_order(calibration: Calibration) -> str:
     along: Floats = np.arange(1.0, len(time_s) + 1.0)
     label = "reading, in the order of measurement"
     if np.all(np.isfinite(time_s)):
-        hours = bool(np.ptp(time_s) > 7200.0)
-        along, label = (
-            time_s / (3600.0 if hours else 60.0),
-            f"time since the start / {'h' if hours else 'min'}",
-        )
+        unit, size = ("h", HOUR) if np.ptp(time_s) > 2 * HOUR else ("min", MINUTE)
+        along, label = time_s / size, f"time since the start / {unit}"
 
     def draw(figure: Figure) -> None:
         grid: Any = figure.subplots(3, 1, sharex=True, sharey=True)
@@ -167,7 +160,7 @@ def verification_points(verification: Verification) -> str:
 
 def correlations(calibration: Calibration) -> str:
     """Correlation matrix of the twelve coefficients, the lower triangle."""
-    matrix = correlation_matrix(calibration)
+    matrix = correlation_of(calibration.covariance)
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
@@ -242,15 +235,7 @@ def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Fl
     turn, *_ = np.linalg.lstsq(columns, predicted, rcond=None)
     slope = np.cos(angle_rad)[:, None] * turn[0] - np.sin(angle_rad)[:, None] * turn[1]
     noise = calibration.noise
-    sd: Floats = np.hypot(noise.reading, noise.setting_rad * slope)
-    return sd
-
-
-def correlation_matrix(calibration: Calibration) -> Floats:
-    """Correlation coefficients (12, 12) of the coefficients."""
-    u = np.where(calibration.u > 0.0, calibration.u, np.inf)
-    matrix: Floats = calibration.covariance / np.outer(u, u)
-    return matrix
+    return np.asarray(np.hypot(noise.reading, noise.setting_rad * slope))
 
 
 def residual_scale(calibration: Calibration) -> Scale:
@@ -271,8 +256,7 @@ def dodged_deg(calibration: Calibration) -> Floats:
     number = calibration.fitted.pass_number
     middle = (number.min() + number.max()) / 2.0
     spread = max(float(np.ptp(number)), 1.0) / 2.0
-    shifted: Floats = np.degrees(calibration.fitted.angle_rad) + DODGE_DEG * (number - middle) / spread
-    return shifted
+    return np.asarray(np.degrees(calibration.fitted.angle_rad) + DODGE_DEG * (number - middle) / spread)
 
 
 def residual_points(
@@ -297,7 +281,7 @@ def residual_points(
                     along[chosen], calibration.residuals[chosen, channel] / scale.size, marker,
                     color=PASS_COLOURS[(number - 1) % len(PASS_COLOURS)],
                     fillstyle=PASS_FILLS[(number - 1) % len(PASS_FILLS)],
-                    label=f"pass {number} {APPROACH[direction]}".strip(),
+                    label=f"pass {number} {APPROACH.get(direction, '')}".strip(),
                 )  # fmt: skip
                 line.set_gid(f"{name}-{CHANNELS[channel]}-{np.flatnonzero(chosen)[0]}")
 
@@ -334,19 +318,31 @@ def _verification_labels(verification: Verification) -> list[str]:
     ]
 
 
-def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> str:
-    """Draw a figure and return it as an SVG element for a page; `alt` says in words what it shows."""
+@contextmanager
+def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> Iterator[Figure]:
+    """Draw a figure and have it as long as the style of the pages holds; `name` fixes the identifiers in it."""
     # matplotlib takes longer to import than anything else that a command does
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    text = io.StringIO()
     with style.context(["default", {**STYLE, "svg.hashsalt": name}]):
         figure = Figure(figsize=inches, layout="constrained")
         draw(figure)
+        yield figure
+
+
+def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
+    """Draw a figure and return the text of an SVG file that stands alone."""
+    text = io.StringIO()
+    with drawn(name, inches, draw) as figure:
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(text, format="svg", metadata=nothing)
-    return _inline(text.getvalue(), name, inches, alt)
+    return text.getvalue()
+
+
+def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> str:
+    """Draw a figure and return it as an SVG element for a page; `alt` says in words what it shows."""
+    return _inline(svg_file(name, inches, draw), name, inches, alt)
 
 
 def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:

@@ -11,8 +11,7 @@ from bench.analysis.stability.allan import AllanCurve
 from bench.analysis.stability.noise_terms import NoiseTerms
 from bench.base.arrays import CHANNELS
 from bench.base.numbers import scale_for
-from bench.report.plots import BLUE, GREEN, VERMILION
-from bench.report.svg_file import svg_file
+from bench.report.plots import BLUE, GREEN, GREY, VERMILION, svg_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,7 +33,7 @@ def allan_figure(curves: Sequence[AllanCurve], terms: Sequence[NoiseTerms], unit
             )  # fmt: skip
             fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 200)
             axes.plot(fine, term.deviation(fine) / scale.size, color=colour, linewidth=0.8, alpha=0.7)
-        axes.axvline(tau_s, color="#5F6B76", linestyle=(0, (4, 3)), linewidth=0.9)
+        axes.axvline(tau_s, color=GREY, linestyle=(0, (4, 3)), linewidth=0.9)
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xlabel("averaging time / s")

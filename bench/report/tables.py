@@ -9,13 +9,14 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
+from bench.analysis.budget.propagation import correlation_of
 from bench.analysis.calibration import Calibration, Estimate, Noise, Verification
 from bench.analysis.calibration.design import SYMBOLS
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
 from bench.model.effects import CATALOGUE
-from bench.report.plots import correlation_matrix, residual_scale
+from bench.report.plots import residual_scale
 
 MEANINGS: Final = {
     "axis_tilt": "axis tilt",
@@ -116,7 +117,7 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
 
 def strongest_correlations(calibration: Calibration, count: int = 5) -> list[tuple[Markup, Markup, str]]:
     """Return the pairs of coefficients that hang together most, with their correlation."""
-    r = correlation_matrix(calibration)
+    r = correlation_of(calibration.covariance)
     pairs = sorted(
         ((i, j) for i in range(12) for j in range(i)), key=lambda pair: (-abs(r[pair]), pair[1], pair[0])
     )
@@ -134,11 +135,11 @@ def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
         rounded(float(d) / scale.size, float(u) / scale.size, sign=True)
         for d, u in zip(difference, np.maximum(calibration.u, compared.u), strict=True)
     ]
-    columns = (
-        [concise(float(v), float(u)) for v, u in zip(calibration.block.vector, calibration.u, strict=True)],
-        [concise(float(v), float(u)) for v, u in zip(compared.block.vector, compared.u, strict=True)],
-        shown,
+    both = (
+        [concise(v, u) for v, u in zip(c.block.vector.tolist(), c.u.tolist(), strict=True)]
+        for c in (calibration, compared)
     )
+    columns = (*both, shown)
     base = scale_for(1.0, calibration.unit)
     cells = list(zip(*(aligned(column) for column in columns), strict=True))
     return [

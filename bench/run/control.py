@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from bench.run.states import Wish
 
@@ -21,6 +22,15 @@ class RunControl:
     wish: Wish
     reason: str = ""
     by_person: bool = False
+
+    def to_json(self) -> dict[str, str]:
+        """Return it as it is left in a run's folder."""
+        return {"wish": self.wish.value, "reason": self.reason}
+
+    @classmethod
+    def from_json(cls, line: Mapping[str, Any]) -> RunControl:
+        """Return another program's wish. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
+        return cls(Wish(line["wish"]), str(line.get("reason", "")))
 
 
 class OperatorWish(Exception):
@@ -66,15 +76,14 @@ class ControlFile:
             return None
         self._heard += len(line)
         try:
-            said = json.loads(line)
-            return RunControl(Wish(said["wish"]), str(said.get("reason", "")))
+            return RunControl.from_json(json.loads(line))
         except (ValueError, KeyError, TypeError, AttributeError):
             return None
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
     """Leave a wish in the folder of a run. Raises `OSError` where it cannot be written."""
-    line = json.dumps({"wish": control.wish.value, "reason": control.reason}, ensure_ascii=False)
+    line = json.dumps(control.to_json(), ensure_ascii=False)
     with (folder / CONTROL).open("a", encoding="utf-8") as file:
         file.write(line + "\n")
 

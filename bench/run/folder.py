@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from bench.procedure.plan import Plan, Read
-from bench.readings.table import REFERENCE_V, SCAN_ORDER, VERIFICATION, Readings, make_readings
-from bench.run.record import MANIFEST, History, RecordError, read_history, read_manifest
+from bench.readings.reading import readings_of
+from bench.readings.table import VERIFICATION, Readings
+from bench.run.record import MANIFEST, History, Manifest, RecordError, read_history, read_manifest
 
 PLAN = "plan.json"
 BENCH = "bench.yaml"
@@ -35,7 +32,7 @@ class Run:
         return self.folder.name
 
     @cached_property
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self) -> Manifest:
         """What the run was started with."""
         return read_manifest(self.folder)
 
@@ -85,20 +82,15 @@ class Run:
 
         Raises `RecordError` when the record was changed, or holds no reading.
         """
-        by_step: dict[int, dict[str, Any]] = {}
-        for event in self.trusted_history().events:
-            if event.type == "step_done" and "reading" in event.data:
-                step = int(event.data["step"])
-                by_step.pop(step, None)
-                by_step[step] = event.data["reading"]
-        if not by_step:
+        taken = list(self.trusted_history().readings.values())
+        if not taken:
             raise RecordError(f"{self.folder}: no reading is recorded in this run")
         planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
-        table = readings_of(list(by_step.values()), str(self.folder))
+        table = readings_of(taken, str(self.folder))
         return replace(
             table,
             verification_missing=planned - len(table.verification()),
-            notes=self._unfinished_note(len(by_step)),
+            notes=self._unfinished_note(len(taken)),
         )
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
@@ -108,39 +100,6 @@ class Run:
             return ()
         state = self.trusted_history().state
         return (f"the run is {state}: {taken} of {planned} planned readings were taken",)
-
-
-def readings_of(rows: list[dict[str, Any]], source: str) -> Readings:
-    """Make the table of recorded readings (the `reading` of an event, one per row).
-
-    Scan order and reference voltage are among its extra columns where any row has them.
-    """
-
-    def column(name: str) -> list[float]:
-        return [math.nan if row.get(name) is None else float(row[name]) for row in rows]
-
-    told = {
-        name: ["" if row.get(name) is None else str(row[name]) for row in rows]
-        for name in (SCAN_ORDER, REFERENCE_V)
-    }
-    table = make_readings(
-        [str(row["installation"]) for row in rows],
-        [int(row["pass"]) for row in rows],
-        [int(row["point"]) for row in rows],
-        np.radians(column("angle_deg")),
-        np.array([row["mean"] for row in rows]),
-        source=source,
-        unit=str(rows[0].get("unit", "V")),
-        target_rad=np.radians(column("target_deg")),
-        series=[int(row["series"]) for row in rows],
-        direction=[int(row["direction"]) for row in rows],
-        time_s=np.array(column("time_s")),
-        temperature_c=np.array(column("temperature_c")),
-        signal_sd=np.array([[math.nan if v is None else v for v in row["sd"]] for row in rows]),
-        samples=[int(row["samples_taken"]) for row in rows],
-    )
-    extra = {name: np.array(cells, dtype=np.str_) for name, cells in told.items() if any(cells)}
-    return replace(table, extra=extra)
 
 
 def checked_name(name: str) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from bench.procedure.plan import Plan
-from bench.run.record import Event
-from bench.run.terminal import duration, told
+from bench.readings.reading import Reading
+from bench.run.events import Answered, Event, EventType, Turned
+from bench.run.terminal import duration, sentence
 
 LOG = "run.log"
 
@@ -20,7 +21,7 @@ class RunLog:
 
     def __call__(self, event: Event) -> None:
         """Append a line for an event; the beginnings of steps are left out, their ends say as much."""
-        if event.type == "step_started":
+        if event.type == EventType.STEP_STARTED:
             return
         try:
             with self._path.open("a", encoding="utf-8") as file:
@@ -29,15 +30,15 @@ class RunLog:
             return
 
     def _text(self, event: Event) -> str:
-        if event.type != "step_done":
+        if event.type != EventType.STEP_DONE:
             why = event.data.get("error") or event.data.get("reason")
-            return f"{event.type}: {why}" if why else told(event)
-        text = self._plan.steps[int(event.data["step"])].describe()
-        reading = event.data.get("reading")
-        if reading:
-            text += "  " + "  ".join(f"{value:+.8f}" for value in reading["mean"]) + f" {reading['unit']}"
-        elif "angle_deg" in event.data:
-            text += f"  read {event.data['angle_deg']:.6f}°"
-        elif "answer" in event.data:
-            text += f"  {event.data['answer']}"
+            return f"{event.type}: {why}" if why else sentence(event)
+        text = self._plan.steps[event.step].describe()
+        match event.result:
+            case Reading(mean=mean, unit=unit):
+                text += "  " + "  ".join(f"{value:+.8f}" for value in mean) + f" {unit}"
+            case Turned(angle_deg=angle):
+                text += f"  read {angle:.6f}°"
+            case Answered(answer=answer):
+                text += f"  {answer}"
         return text

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
+
+from bench.procedure.plan import Mount
+from drivers.interfaces import Prompt, PromptKind
 
 PICTURES: Final[Mapping[str, str]] = {
     "1": """\
@@ -21,12 +25,27 @@ PICTURES: Final[Mapping[str, str]] = {
 }
 
 
-def mount_text(installation: str, series: int) -> str:
-    """Return the task of mounting the block, in one sentence."""
-    again = "" if series == 1 else f" (visit {series})"
-    return f"Mount the block in installation {installation}{again}, clamp it, close the chamber"
+UNTOUCHED: Final = "untouched"
 
 
-def mount_picture(installation: str) -> str:
-    """Return a drawing of the installation, empty where there is none."""
-    return PICTURES.get(installation, "")
+def mount_prompt(step: Mount) -> Prompt:
+    """Return the task of mounting the block, with a drawing of the installation where there is one."""
+    again = "" if step.series == 1 else f" (visit {step.series})"
+    return Prompt(
+        id=step.key,
+        kind=PromptKind.CONFIRM,
+        text=f"Mount the block in installation {step.installation}{again}, clamp it, close the chamber",
+        default="yes",
+        action={"do": "mount", "installation": step.installation, "series": step.series},
+        picture=PICTURES.get(step.installation, ""),
+    )
+
+
+def untouched_prompt(step: Mount) -> Prompt:
+    """Return the question whether the block is still mounted as this step left it."""
+    text = (
+        f"The block was mounted in installation {step.installation}. Is it untouched since? "
+        "If not, mount it again now, and say so"
+    )
+    choices = (UNTOUCHED, "mounted again")
+    return replace(mount_prompt(step), kind=PromptKind.CHOOSE, text=text, default=UNTOUCHED, choices=choices)

@@ -17,8 +17,10 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypedDict, cast
 
+from bench.readings.reading import Reading
+from bench.run.events import Event
 from bench.run.states import RunState, state_after
 
 EVENTS: Final = "events.jsonl"
@@ -28,19 +30,38 @@ FORMAT: Final = 1
 Shield = Callable[[], AbstractContextManager[None]]
 
 
+class UnitUnderTest(TypedDict):
+    """The block that a run measures."""
+
+    type: str
+    serial: str
+
+
+class Manifest(TypedDict, total=False):
+    """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
+
+    `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
+    `readings` that has, and nothing of a procedure.
+    """
+
+    format: int
+    name: str
+    created: str
+    imported: str
+    readings: int
+    dry_run: bool
+    seed: int | None
+    operator: str
+    procedure: str
+    bench: str
+    plan_hash: str
+    unit_under_test: UnitUnderTest
+    versions: dict[str, str]
+    files: dict[str, str]
+
+
 class RecordError(Exception):
     """A run folder that cannot be written or believed; the text says where, why and what to do."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """One line of the record: its number, civil time, bench time in s since the run began, type, contents."""
-
-    number: int
-    time: str
-    bench_s: float
-    type: str
-    data: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -50,6 +71,16 @@ class History:
     events: tuple[Event, ...]
     problems: tuple[str, ...]
     torn: str = ""
+
+    @property
+    def readings(self) -> dict[int, Reading]:
+        """The readings by step, in the order of measurement; of a step taken again the last."""
+        by_step: dict[int, Reading] = {}
+        for event in self.events:
+            if (reading := event.reading) is not None:
+                by_step.pop(event.step, None)
+                by_step[event.step] = reading
+        return by_step
 
     @property
     def state(self) -> RunState:
@@ -98,7 +129,7 @@ class Record:
     def create(
         cls,
         folder: Path,
-        manifest: dict[str, Any],
+        manifest: Manifest,
         inputs: dict[str, bytes],
         now: Callable[[], datetime],
         shield: Shield = nullcontext,
@@ -149,18 +180,8 @@ class Record:
 
     def _append(self, kind: str, bench_s: float, data: dict[str, Any]) -> Event:
         event = Event(self._count + 1, self._now().isoformat(), bench_s, kind, data)
-        line = json.dumps(
-            {
-                "n": event.number,
-                "time": event.time,
-                "bench_s": bench_s,
-                "type": kind,
-                **data,
-                "prev": self._last_hash,
-            },
-            ensure_ascii=False,
-            allow_nan=False,
-        ).encode()
+        whole_event = {**event.to_json(), "prev": self._last_hash}
+        line = json.dumps(whole_event, ensure_ascii=False, allow_nan=False).encode()
         whole = self._file.tell()
         try:
             self._write(line + b"\n")
@@ -240,7 +261,7 @@ def _cannot_write(folder: Path, error: OSError) -> RecordError:
     )
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> Manifest:
     """Return the inputs' manifest of a run. Raises `RecordError` when there is none."""
     try:
         manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
@@ -250,7 +271,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
         raise RecordError(f"{folder / MANIFEST}: damaged, not a manifest; take it from a copy of the run")
-    return manifest
+    return cast(Manifest, manifest)
 
 
 def read_history(folder: Path) -> History:
@@ -289,13 +310,7 @@ def _parse(content: bytes) -> Iterator[tuple[int, bytes, Event | None, str]]:
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
         try:
             data = json.loads(line)
-            event = Event(
-                int(data.pop("n")),
-                str(data.pop("time")),
-                float(data.pop("bench_s")),
-                str(data.pop("type")),
-                data,
-            )
-            yield number, line, event, str(data.pop("prev"))
+            previous = str(data.pop("prev"))
+            yield number, line, Event.from_json(data), previous
         except (ValueError, KeyError, TypeError, AttributeError):
             yield number, line, None, ""

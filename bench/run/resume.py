@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
 
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
-from bench.run.record import Event, History
+from bench.readings.reading import Reading
+from bench.run.events import Event, EventType, Mounted, Result, TemperatureSet
+from bench.run.record import History
 
 
 @dataclass
@@ -37,31 +38,29 @@ class Progress:
 
     def take(self, event: Event) -> None:
         """Take note of an event."""
-        if event.type in {"run_started", "run_resumed"}:
-            self.identities = dict(event.data["instruments"])
-        elif event.type == "step_started":
-            self.begun_s[int(event.data["step"])] = event.bench_s
-        elif event.type == "step_done":
-            self.done.add(int(event.data["step"]))
-            self._note_temperature(event.data)
-        elif event.type == "remounted":
-            place = (int(event.data["series"]), str(event.data["installation"]))
-            self.remounts[place] = int(event.data["now_series"])
-        elif event.type in {"redo", "skipped"}:
-            steps = range(int(event.data["first"]), int(event.data["last"]) + 1)
-            if event.type == "redo":
-                self.done.difference_update(steps)
-                self.skipped.difference_update(steps)
-                self.redone.update(steps)
-            else:
-                self.skipped.update(steps)
+        match event.type:
+            case EventType.RUN_STARTED | EventType.RUN_RESUMED:
+                self.identities = dict(event.data["instruments"])
+            case EventType.STEP_STARTED:
+                self.begun_s[event.step] = event.bench_s
+            case EventType.STEP_DONE:
+                self.done.add(event.step)
+                self._note_temperature(event.result)
+            case EventType.REMOUNTED:
+                place = (int(event.data["series"]), str(event.data["installation"]))
+                self.remounts[place] = int(event.data["now_series"])
+            case EventType.REDO:
+                self.done.difference_update(event.steps)
+                self.skipped.difference_update(event.steps)
+                self.redone.update(event.steps)
+            case EventType.SKIPPED:
+                self.skipped.update(event.steps)
 
-    def _note_temperature(self, data: dict[str, Any]) -> None:
+    def _note_temperature(self, result: Result | None) -> None:
         """Keep the temperature last told or read; after a new setting it is not known."""
-        known = data.get("reading", data)
-        if "temperature_c" in known:
-            self.temperature_c = known["temperature_c"]
-        elif "target_c" in data:
+        if isinstance(result, Reading | Mounted):
+            self.temperature_c = result.temperature_c
+        elif isinstance(result, TemperatureSet):
             self.temperature_c = None
 
     def reopen(self, plan: Plan, step: int) -> None:

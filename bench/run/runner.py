@@ -13,12 +13,15 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
+from bench.readings.reading import Reading
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
+from bench.run.events import Event, EventType, result_to_json
 from bench.run.prompts import confirm
-from bench.run.record import Event, Record, RecordError
+from bench.run.record import Record, RecordError
 from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
 from bench.run.settling import Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
+from bench.run.watch.sign import EarlySign
 from bench.run.workbench import NAP_S, Instruments, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import (
@@ -32,7 +35,7 @@ from drivers.interfaces import (
 )
 
 Observer = Callable[[Event], None]
-Watch = Callable[[dict[str, Any]], list[dict[str, Any]]]
+Watch = Callable[[Reading], Sequence[EarlySign]]
 """Looks at each reading as it is taken; returns what seems wrong with it, to be recorded."""
 
 WORTH_REPEATING: Final = (BadReading, InstrumentLost, InstrumentRefused)
@@ -65,7 +68,7 @@ class Runner:
     controls: Controls = field(default_factory=NoControls)
     progress: Progress = field(default_factory=Progress)
     patience: Clock = field(default_factory=SystemClock)
-    watch: Watch = lambda reading: []
+    watch: Watch = lambda reading: ()
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
     on_settling: Callable[[Settling], None] = lambda state: None
@@ -98,16 +101,18 @@ class Runner:
             self._zero_s = self.clock.now_s() - bench_s
             identities = self.instruments.open()
             self._compare(identities)
-            self._change("run_resumed" if resume else "run_started", step=start, instruments=identities)
+            self._change(
+                EventType.RUN_RESUMED if resume else EventType.RUN_STARTED, step=start, instruments=identities
+            )
             if resume:
                 self._restore(resume)
             self._carry_out(start)
-            self._change("run_finished")
+            self._change(EventType.RUN_FINISHED)
         except KeyboardInterrupt:
-            self._leave("run_interrupted")
+            self._leave(EventType.RUN_INTERRUPTED)
             raise
         except BenchError as error:
-            self._leave("run_failed", error=str(error), instrument=error.instrument)
+            self._leave(EventType.RUN_FAILED, error=str(error), instrument=error.instrument)
             raise
         finally:
             self._left_safe(self.instruments.leave_safe())
@@ -125,11 +130,11 @@ class Runner:
 
     # --- the life of a run ---------------------------------------------------------------------------
 
-    def _change(self, event: str, **data: Any) -> None:
+    def _change(self, event: EventType, **data: Any) -> None:
         self.state = TRANSITIONS[self.state][event]
         self._emit(event, **data)
 
-    def _leave(self, event: str, **data: Any) -> None:
+    def _leave(self, event: EventType, **data: Any) -> None:
         """Record how the run stopped, where it had not ended already."""
         if event in TRANSITIONS[self.state]:
             self._change(event, **data)
@@ -138,9 +143,9 @@ class Runner:
         """Record what a person must still do; a record that cannot be written has been told of before."""
         if to_do:
             with suppress(RecordError):
-                self._emit("left_safe", to_do=to_do)
+                self._emit(EventType.LEFT_SAFE, to_do=to_do)
 
-    def _emit(self, kind: str, **data: Any) -> None:
+    def _emit(self, kind: EventType, **data: Any) -> None:
         event = self.record.append(kind, self._now_s(), **data)
         self.progress.take(event)
         for observer in self.observers:
@@ -187,7 +192,7 @@ class Runner:
             return
         highest = max(s.series for s in self.plan.steps if isinstance(s, Mount))
         visit = highest + 1 + len(self.progress.remounts)
-        self._emit("remounted", installation=step.installation, series=step.series, now_series=visit)
+        self._emit(EventType.REMOUNTED, installation=step.installation, series=step.series, now_series=visit)
 
     # --- wishes --------------------------------------------------------------------------------------
 
@@ -205,25 +210,25 @@ class Runner:
             case Wish.PAUSE:
                 return self._pause(control, index)
             case Wish.CONTINUE:
-                self._change("run_continued")
+                self._change(EventType.RUN_CONTINUED)
                 return index
             case Wish.REPEAT_POINT | Wish.REPEAT_PASS:
                 return self._redo(control, index)
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
-                self._emit("skipped", first=index, last=last, reason=control.reason)
+                self._emit(EventType.SKIPPED, first=index, last=last, reason=control.reason)
                 return last + 1
             case Wish.ABORT:
-                self._change("run_aborted", reason=control.reason)
+                self._change(EventType.RUN_ABORTED, reason=control.reason)
                 raise RunAborted(control.reason)
 
     def _refuse(self, control: RunControl, index: int, why: str) -> int:
-        self._emit("wish_refused", wish=control.wish.value, why=why)
+        self._emit(EventType.WISH_REFUSED, wish=control.wish.value, why=why)
         return index
 
     def _pause(self, pause: RunControl, index: int) -> int:
         """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
-        self._change("run_paused", reason=pause.reason)
+        self._change(EventType.RUN_PAUSED, reason=pause.reason)
         while self.state is RunState.PAUSED:
             control = self._asked() if pause.by_person else self.controls.poll()
             if control is None:
@@ -231,7 +236,7 @@ class Runner:
                 continue
             after = self._obey(control, index)
             if self.state is RunState.PAUSED and after != index:
-                self._change("run_continued")
+                self._change(EventType.RUN_CONTINUED)
             index = after
         return index
 
@@ -257,7 +262,7 @@ class Runner:
             return self._refuse(control, index, "no point was measured since the block was mounted")
         if control.wish is Wish.REPEAT_PASS:
             turn = first_of_pass(self.plan, turn)
-        self._emit("redo", first=turn, last=index - 1, wish=control.wish.value)
+        self._emit(EventType.REDO, first=turn, last=index - 1, wish=control.wish.value)
         return turn
 
     # --- steps ---------------------------------------------------------------------------------------
@@ -267,18 +272,19 @@ class Runner:
         step = self.plan.steps[index]
         policy = step.on_failure if isinstance(step, Read | Turn) else NO_REPEAT
         for tries_left in range(policy.repeats, -1, -1):
-            self._emit("step_started", step=index, key=step.key, attempt=self.progress.attempt(index))
+            begun = {"step": index, "key": step.key, "attempt": self.progress.attempt(index)}
+            self._emit(EventType.STEP_STARTED, **begun)
             try:
                 result = self._workbench.execute(step)
             except WORTH_REPEATING as error:
                 if not tries_left and policy.then == "stop":
                     raise
-                self._emit("step_failed", step=index, key=step.key, error=str(error))
+                self._emit(EventType.STEP_FAILED, step=index, key=step.key, error=str(error))
                 continue
-            self._emit("step_done", step=index, key=step.key, attempt=self.progress.attempt(index), **result)
-            for sign in self.watch(result["reading"]) if "reading" in result else []:
-                self._emit("early_sign", step=index, **sign)
+            self._emit(EventType.STEP_DONE, **begun, **result_to_json(result))
+            for sign in self.watch(result) if isinstance(result, Reading) else ():
+                self._emit(EventType.EARLY_SIGN, step=index, **sign.to_json())
             return
         # without its turn, a reading of the point would be taken at a wrong angle
         last = end_of_point(self.plan, index) - 1 if isinstance(step, Turn) else index
-        self._emit("skipped", first=index, last=last, reason=f"failed {policy.repeats + 1} times")
+        self._emit(EventType.SKIPPED, first=index, last=last, reason=f"failed {policy.repeats + 1} times")

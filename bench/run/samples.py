@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from bench.base.arrays import Floats
+from bench.readings.reading import Outlier
 
 OUTLIER_LEVEL: Final = 0.01
 """Probability with which normal samples without an outlier are said to have one."""
@@ -36,48 +38,51 @@ def grubbs_critical(n: int, level: float = OUTLIER_LEVEL) -> float:
     return (n - 1) / math.sqrt(n) * math.sqrt(t2 / (n - 2 + t2))
 
 
-def describe(
-    samples: Mapping[str, Sequence[float]], interval_s: float | None = None, resolution: float = 0.0
-) -> dict[str, dict[str, Any]]:
-    """Describe the samples of each channel; JSON-ready, None where a number does not exist.
+@dataclass(frozen=True)
+class Statistics:
+    """What the `n` samples of a channel tell, in their unit; None where a number does not exist.
 
-    For each channel: `n`; `mean`; `sd` (None for one sample); `drift`, the change from the first to the last
-    sample by the fitted line, and `drift_u`, its standard uncertainty, and `drift_p`, the probability of
-    as large a drift in samples that only scatter (all None below 3 samples); `drift_per_s` where
-    `interval_s`, the time from sample to sample, is given; `outlier`, None or `{"sample", "value", "sigma",
-    "critical"}`: the sample (from 1) that Grubbs' test at 1 % calls an outlier. All in the unit of the samples.
-    A sample no further than `resolution`, the last digit of the meter, from the median is none.
+    `sd` needs 2 samples, all else 3: `drift`, the change from the first to the last sample by the fitted line,
+    `drift_u`, its standard uncertainty, `drift_p`, the probability of as large a drift in samples that only
+    scatter, and `outlier`, the sample that Grubbs' test at 1 % calls one.
+    """
+
+    n: int
+    mean: float
+    sd: float | None
+    drift: float | None
+    drift_u: float | None
+    drift_p: float | None
+    outlier: Outlier | None
+
+    def drift_per_s(self, interval_s: float) -> float | None:
+        """Return the drift in a second, where `interval_s` is the time from sample to sample."""
+        return None if self.drift is None else self.drift / ((self.n - 1) * interval_s)
+
+
+def describe(samples: Mapping[str, Sequence[float]], resolution: float = 0.0) -> dict[str, Statistics]:
+    """Describe the samples of each channel.
+
+    A sample no further than `resolution`, the last digit of the meter, from the median is no outlier.
     Raises `ValueError` for a channel without samples or with one that is not a finite number.
     """
-    return {channel: _channel(channel, values, interval_s, resolution) for channel, values in samples.items()}
+    return {channel: _statistics(channel, values, resolution) for channel, values in samples.items()}
 
 
-def _channel(
-    channel: str, values: Sequence[float], interval_s: float | None, resolution: float
-) -> dict[str, Any]:
-    x = np.asarray(values, dtype=np.float64)
+def _statistics(channel: str, samples: Sequence[float], resolution: float) -> Statistics:
+    x = np.asarray(samples, dtype=np.float64)
     n = len(x)
     mean = float(x.sum()) / n if n else math.nan
     if not math.isfinite(mean):
-        raise ValueError(f"channel {channel}: a reading is one or more finite numbers, not {list(values)!r}")
+        raise ValueError(f"channel {channel}: a reading is one or more finite numbers, not {list(samples)!r}")
     deviation = x - mean
     squares = float(deviation @ deviation)
     if squares <= n * (_ROUNDING * mean) ** 2:
         squares = 0.0  # equal samples: their mean is off by rounding
     sd = math.sqrt(squares / (n - 1)) if n > 1 else None
     drift, drift_u, drift_p = _drift(deviation, squares) if n > 2 else (None, None, None)
-    described: dict[str, Any] = {
-        "n": n,
-        "mean": mean,
-        "sd": sd,
-        "drift": drift,
-        "drift_u": drift_u,
-        "drift_p": drift_p,
-        "outlier": _outlier(x, deviation, sd, resolution) if sd and n > 2 else None,
-    }
-    if interval_s is not None:
-        described["drift_per_s"] = None if drift is None else drift / ((n - 1) * interval_s)
-    return described
+    outlier = _outlier(x, deviation, sd, resolution) if sd and n > 2 else None
+    return Statistics(n, mean, sd, drift, drift_u, drift_p, outlier)
 
 
 def _drift(deviation: Floats, squares: float) -> tuple[float, float, float]:
@@ -101,10 +106,10 @@ def _sample_times(n: int) -> tuple[Floats, float]:
     return time, float(time @ time)
 
 
-def _outlier(x: Floats, deviation: Floats, sd: float, resolution: float) -> dict[str, Any] | None:
+def _outlier(x: Floats, deviation: Floats, sd: float, resolution: float) -> Outlier | None:
     worst = int(np.abs(deviation).argmax())
     sigma = abs(float(deviation[worst])) / sd
     critical = grubbs_critical(len(x))
     if sigma <= critical or abs(float(x[worst]) - float(np.median(x))) <= resolution * (1 + 1e-6):
         return None
-    return {"sample": worst + 1, "value": float(x[worst]), "sigma": sigma, "critical": critical}
+    return Outlier(worst + 1, float(x[worst]), sigma, critical)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Final
 
+from bench.run.events import EventType
+
 
 class RunState(StrEnum):
     """What a run is doing."""
@@ -19,29 +21,24 @@ class RunState(StrEnum):
     ABORTED = "aborted"
 
 
+_ABORTED: Final[Mapping[str, RunState]] = {EventType.RUN_ABORTED: RunState.ABORTED}
+_TAKEN_UP: Final[Mapping[str, RunState]] = {EventType.RUN_RESUMED: RunState.RUNNING}
+_STOPPED: Final[Mapping[str, RunState]] = {
+    EventType.RUN_FAILED: RunState.FAILED,
+    EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
+    **_ABORTED,
+}
+
 TRANSITIONS: Final[Mapping[RunState, Mapping[str, RunState]]] = {
-    RunState.READY: {
-        "run_started": RunState.RUNNING,
-        "run_resumed": RunState.RUNNING,
-        "run_failed": RunState.FAILED,
-        "run_interrupted": RunState.INTERRUPTED,
-        "run_aborted": RunState.ABORTED,
-    },
+    RunState.READY: {EventType.RUN_STARTED: RunState.RUNNING, **_TAKEN_UP, **_STOPPED},
     RunState.RUNNING: {
-        "run_paused": RunState.PAUSED,
-        "run_finished": RunState.FINISHED,
-        "run_failed": RunState.FAILED,
-        "run_interrupted": RunState.INTERRUPTED,
-        "run_aborted": RunState.ABORTED,
+        EventType.RUN_PAUSED: RunState.PAUSED,
+        EventType.RUN_FINISHED: RunState.FINISHED,
+        **_STOPPED,
     },
-    RunState.PAUSED: {
-        "run_continued": RunState.RUNNING,
-        "run_failed": RunState.FAILED,
-        "run_interrupted": RunState.INTERRUPTED,
-        "run_aborted": RunState.ABORTED,
-    },
-    RunState.FAILED: {"run_resumed": RunState.RUNNING, "run_aborted": RunState.ABORTED},
-    RunState.INTERRUPTED: {"run_resumed": RunState.RUNNING, "run_aborted": RunState.ABORTED},
+    RunState.PAUSED: {EventType.RUN_CONTINUED: RunState.RUNNING, **_STOPPED},
+    RunState.FAILED: {**_TAKEN_UP, **_ABORTED},
+    RunState.INTERRUPTED: {**_TAKEN_UP, **_ABORTED},
     RunState.FINISHED: {},
     RunState.ABORTED: {},
 }
@@ -82,7 +79,7 @@ def state_after(events: list[str]) -> RunState:
     for event in events:
         if event not in changing:
             continue
-        if event == "run_resumed" and state in {RunState.RUNNING, RunState.PAUSED}:
+        if event == EventType.RUN_RESUMED and state in {RunState.RUNNING, RunState.PAUSED}:
             continue  # the program died without a word, and another took the run up
         if event not in TRANSITIONS[state]:
             raise ValueError(f"{event} cannot follow on {state}")

@@ -10,8 +10,9 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from bench.procedure.plan import Plan
+from bench.readings.reading import Reading
 from bench.run.control import SIGN, OperatorWish, parse_wish
-from bench.run.record import Event
+from bench.run.events import Event, EventType
 from bench.run.settling import Settling
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
 
@@ -137,18 +138,18 @@ class ProgressBar:
 
     def __call__(self, event: Event) -> None:
         """Take note of an event of the run."""
-        if event.type == "step_started":
-            index = int(event.data["step"])
+        if event.type == EventType.STEP_STARTED:
+            index = event.step
             left = duration(self._time_left_s(index, event.bench_s))
             text = f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}"
             self._status = f"{text}; {left} left"
             self._progress.update(self._task, description=text, completed=index, left=left)
             self._print_line(index)
-        elif event.type == "step_done":
-            self._progress.update(self._task, completed=int(event.data["step"]) + 1)
-            self._show_reading(event)
-        elif event.type in {"early_sign", "step_failed", "wish_refused", "left_safe"}:
-            self._console.print(Text(told(event), style="bold yellow"))
+        elif event.type == EventType.STEP_DONE:
+            self._progress.update(self._task, completed=event.step + 1)
+            self._show_reading(event.reading)
+        elif (text := sentence(event)) != event.type:
+            self._console.print(Text(text, style="bold yellow"))
 
     def settling(self, state: Settling) -> None:
         """Show how far what is waited for has settled."""
@@ -165,15 +166,11 @@ class ProgressBar:
         pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
         return pace * self._left_s[index]
 
-    def _show_reading(self, event: Event) -> None:
+    def _show_reading(self, reading: Reading | None) -> None:
         """Keep the last reading on the screen, above the bar."""
-        reading = event.data.get("reading")
         if reading and self._console.is_terminal:
-            values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading["mean"], strict=True))
-            where = (
-                f"installation {reading['installation']}, pass {reading['pass']}, point {reading['point']}"
-            )
-            self._console.print(Text(f"{where}: {values} {reading['unit']}", style="dim"))
+            values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading.mean, strict=True))
+            self._console.print(Text(f"{reading}: {values} {reading.unit}", style="dim"))
 
     def _print_line(self, index: int) -> None:
         if self._console.is_terminal:
@@ -189,17 +186,17 @@ class ProgressBar:
             self._printed = line
 
 
-def told(event: Event) -> str:
-    """Return an event that a person should know of as one line."""
+def sentence(event: Event) -> str:
+    """Return an event that a person should know of as one line; of any other, its type."""
     data = event.data
     match event.type:
-        case "early_sign":
+        case EventType.EARLY_SIGN:
             return f"look: {data['sentence']}"
-        case "step_failed":
+        case EventType.STEP_FAILED:
             return f"failed, tried again: {data['error']}"
-        case "wish_refused":
+        case EventType.WISH_REFUSED:
             return f"{data['wish']} is not possible: {data['why']}"
-        case "left_safe":
+        case EventType.LEFT_SAFE:
             return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
     return event.type
 

@@ -5,14 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS
 from bench.procedure.plan import Ask, Mount, Read, SelectInput, SetTemperature, Settle, Step, Turn, Wait
 from bench.procedure.steps import in_scan_order, read_order
-from bench.run.mounting import mount_picture, mount_text
+from bench.readings.reading import Reading
+from bench.run.events import (
+    Answered,
+    CameToRest,
+    InputSelected,
+    Mounted,
+    Result,
+    TemperatureSet,
+    Turned,
+)
+from bench.run.mounting import UNTOUCHED, mount_prompt, untouched_prompt
 from bench.run.prompts import ask, confirm
 from bench.run.samples import describe
 from bench.run.settling import Criterion, Settling, wait_until_settled
@@ -107,17 +117,18 @@ class Workbench:
     temperature_c: float | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
 
-    def execute(self, step: Step) -> dict[str, Any]:
-        """Carry out a step and return what is recorded of it. Raises `BenchError`."""
+    def execute(self, step: Step) -> Result | None:
+        """Carry out a step and return what it brought. Raises `BenchError`."""
         match step:
             case Mount():
                 return self.mount(step)
             case Turn():
                 return self._turn(step)
             case Read():
-                return {"reading": self._read(step)}
+                return self._read(step)
             case Wait():
-                return self._wait(step.duration_s)
+                self._wait(step.duration_s)
+                return None
             case SetTemperature():
                 return self.set_temperature(step)
             case Settle():
@@ -127,45 +138,25 @@ class Workbench:
             case Ask():
                 return self._ask(step)
 
-    def mount(self, step: Mount) -> dict[str, Any]:
+    def mount(self, step: Mount) -> Mounted:
         """Have the block mounted, and the temperature told where a person must tell it."""
-        prompt = Prompt(
-            id=step.key,
-            kind=PromptKind.CONFIRM,
-            text=mount_text(step.installation, step.series),
-            default="yes",
-            action={"do": "mount", "installation": step.installation, "series": step.series},
-            picture=mount_picture(step.installation),
-        )
-        confirm(self.person, prompt)
+        confirm(self.person, mount_prompt(step))
         self._position = None
         chamber = self.instruments.chamber
         self.temperature_c = chamber.temperature(step.key) if chamber and chamber.asks_person else None
-        return {"temperature_c": self.temperature_c}
+        return Mounted(self.temperature_c)
 
     def still_mounted(self, step: Mount) -> bool:
         """Ask whether the block is still mounted as this step left it; if not, have it mounted."""
-        prompt = Prompt(
-            id=step.key,
-            kind=PromptKind.CHOOSE,
-            text=(
-                f"The block was mounted in installation {step.installation}. Is it untouched since? "
-                "If not, mount it again now, and say so"
-            ),
-            default="untouched",
-            choices=("untouched", "mounted again"),
-            action={"do": "mount", "installation": step.installation, "series": step.series},
-            picture=mount_picture(step.installation),
-        )
-        return ask(self.person, prompt) == "untouched"
+        return ask(self.person, untouched_prompt(step)) == UNTOUCHED
 
-    def set_temperature(self, step: SetTemperature) -> dict[str, Any]:
+    def set_temperature(self, step: SetTemperature) -> TemperatureSet:
         """Set the chamber."""
         self._chamber(f"{step.key}: the procedure sets a temperature").set_temperature(
             step.target_c, step.key
         )
         self.temperature_c = None
-        return {"target_c": step.target_c}
+        return TemperatureSet(step.target_c)
 
     def _chamber(self, wanted: str) -> ThermalChamber:
         if self.instruments.chamber is None:
@@ -176,18 +167,17 @@ class Workbench:
             )
         return self.instruments.chamber
 
-    def _turn(self, step: Turn) -> dict[str, Any]:
+    def _turn(self, step: Turn) -> Turned:
         self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
-        return {"angle_deg": _degrees(self._position.angle_rad), "target_deg": _degrees(step.target_rad)}
+        return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
-    def _wait(self, duration_s: float) -> dict[str, Any]:
+    def _wait(self, duration_s: float) -> None:
         end_s = self.clock.now_s() + duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
             self.clock.sleep(min(NAP_S, left_s))
-        return {}
 
-    def _settle(self, step: Settle) -> dict[str, Any]:
+    def _settle(self, step: Settle) -> CameToRest:
         """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""
         criterion = Criterion(step.precision, step.window_s, step.timeout_s, step.interval_s)
         if step.what == "signals":
@@ -209,7 +199,7 @@ class Workbench:
                 names=("",),
                 unit="°C",
             )
-        return {"settled_s": state.elapsed_s, "settled_at": list(state.values)}
+        return CameToRest(state.elapsed_s, state.values)
 
     def _signals(self) -> tuple[float, ...]:
         samples = self._sample(self.instruments.voltmeters)
@@ -219,7 +209,7 @@ class Workbench:
         self.on_settling(state)
         self.between_naps()
 
-    def _select_input(self, step: SelectInput) -> dict[str, Any]:
+    def _select_input(self, step: SelectInput) -> InputSelected:
         """Have the inputs switched; nothing of the head's position holds for a shorted input."""
         prompt = Prompt(
             id=step.key,
@@ -230,9 +220,9 @@ class Workbench:
         )
         confirm(self.person, prompt)
         self._reference_v = step.reference_v if step.source == "reference" else None
-        return {"source": step.source, "reference_v": step.reference_v}
+        return InputSelected(step.source, step.reference_v)
 
-    def _ask(self, step: Ask) -> dict[str, Any]:
+    def _ask(self, step: Ask) -> Answered:
         prompt = Prompt(
             id=step.key,
             kind=step.kind,
@@ -244,37 +234,38 @@ class Workbench:
             maximum=step.maximum,
             action={"do": "answer"},
         )
-        return {"answer": ask(self.person, prompt)}
+        return Answered(ask(self.person, prompt))
 
-    def _read(self, step: Read) -> dict[str, Any]:
+    def _read(self, step: Read) -> Reading:
         self._configure(VoltmeterSettings(self.range_v, step.nplc, step.samples))
         self._take_temperature(step.key)
         begun_s = self.now_s()
         meters = in_scan_order(self.instruments.voltmeters, step.scan)
         samples = self._sample(meters)
-        statistics = describe(samples)
-        position = self._position if step.target_rad is not None else None
-        return {
-            "installation": step.installation,
-            "series": self.visits.get((step.series, step.installation), step.series),
-            "pass": step.pass_number,
-            "point": step.point,
-            "target_deg": _degrees(step.target_rad),
-            "angle_deg": None if position is None else _degrees(position.angle_rad),
-            "direction": 0 if position is None else position.direction,
-            "time_s": begun_s,
-            "temperature_c": self.temperature_c,
-            "unit": "V",
-            "mean": [statistics[channel]["mean"] for channel in CHANNELS],
-            "sd": [statistics[channel]["sd"] for channel in CHANNELS],
-            "samples_taken": step.samples,
-            "samples": {channel: list(samples[channel]) for channel in CHANNELS},
-            "drift": [statistics[channel]["drift"] for channel in CHANNELS],
-            "drift_p": [statistics[channel]["drift_p"] for channel in CHANNELS],
-            "outlier": [statistics[channel]["outlier"] for channel in CHANNELS],
-            "reference_v": self._reference_v,
-            "scan_order": read_order(meters),
-        }
+        described = describe(samples)
+        statistics = [described[channel] for channel in CHANNELS]
+        position = None if step.target_rad is None else self._position
+        return Reading(
+            installation=step.installation,
+            series=self.visits.get((step.series, step.installation), step.series),
+            pass_number=step.pass_number,
+            point=step.point,
+            target_deg=None if step.target_rad is None else _degrees(step.target_rad),
+            angle_deg=None if position is None else _degrees(position.angle_rad),
+            direction=0 if position is None else position.direction,
+            time_s=begun_s,
+            temperature_c=self.temperature_c,
+            unit="V",
+            mean=tuple(of.mean for of in statistics),
+            sd=tuple(of.sd for of in statistics),
+            samples_taken=step.samples,
+            samples={channel: samples[channel] for channel in CHANNELS},
+            drift=tuple(of.drift for of in statistics),
+            drift_p=tuple(of.drift_p for of in statistics),
+            outlier=tuple(of.outlier for of in statistics),
+            reference_v=self._reference_v,
+            scan_order=read_order(meters),
+        )
 
     def _take_temperature(self, key: str) -> None:
         """Read the chamber; a person is asked once after each mounting and each new temperature.
@@ -312,6 +303,6 @@ class Workbench:
         self._settings = settings
 
 
-def _degrees(angle_rad: float | None) -> float | None:
+def _degrees(angle_rad: float) -> float:
     """Degrees to 1e-9, so that 45° is written 45 and nothing that a scale can show is lost."""
-    return None if angle_rad is None else round(float(np.degrees(angle_rad)), 9)
+    return round(float(np.degrees(angle_rad)), 9)

@@ -64,7 +64,7 @@ def diagnose_case(case: Case) -> dict[str, Any]:
         points = {"before": _points(shown.before), "after": _points(shown.after)}
     nothing = found.candidates.columns[:, :0]
     without = posterior(found.linear, nothing, found.noise)
-    return found.to_json() | {
+    return found.to_dict() | {
         "delta_g": points,
         "coefficients": {
             name: {

@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.arrays import ARCSEC, Floats
 from benchmarks.blind_trial.designs import Run, make_run
-from benchmarks.blind_trial.geometry import ARCSEC, Floats, specific_force
+from benchmarks.blind_trial.geometry import specific_force
 from benchmarks.blind_trial.truth import Truth
 
 K: Final = np.array(

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from bench.base.arrays import ARCSEC, Floats
 from benchmarks.blind_trial.designs import Run
-from benchmarks.blind_trial.geometry import ARCSEC, Floats
 from benchmarks.blind_trial.truth import Draw, Shift, Truth, mount_weights
 
 

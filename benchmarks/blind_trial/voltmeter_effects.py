@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from bench.base.arrays import ARCSEC, Floats
 from benchmarks.blind_trial.designs import Run
-from benchmarks.blind_trial.geometry import ARCSEC, Floats
 from benchmarks.blind_trial.stand_effects import wobble
 from benchmarks.blind_trial.truth import CHANNELS, Draw, Shift, Truth, channel_weights
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from bench.base.arrays import ARCSEC
-from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
+from drivers.interfaces import Answer, MountBlock, NoAnswer, Prompt, PromptKind
 from sim.world.world import keyed_generator
 
 if TYPE_CHECKING:
@@ -62,37 +62,29 @@ class ScriptedOperator:
         Raises `NoAnswer` for a question whose action says nothing and that has no default.
         """
         action = prompt.action
-        match action.get("do"):
-            case "mount":
-                text = self._mount(prompt, str(action["installation"]), _whole(action.get("series", 1)))
-            case "turn":
-                direction: Direction = 1 if _number(action["direction"]) > 0 else -1
-                text = self._turn(prompt.id, _number(action["target_rad"]), direction)
-            case "set_temperature":
-                self._pass_time(self._settings.task_time_s)
-                self._world.set_chamber(_number(action["target_c"]))
-                text = _confirmation(prompt)
-            case "read_temperature":
-                self._pass_time(self._settings.task_time_s)
-                text = f"{self._world.block_c:.2f}"
-            case "select_input":
-                text = self._select_input(prompt)
-            case _:
-                text = _default(prompt)
+        if action["do"] == "mount":
+            text = self._mount(prompt, action)
+        elif action["do"] == "turn":
+            text = self._turn(prompt.id, action["target_rad"], action["direction"])
+        elif action["do"] == "set_temperature":
+            self._pass_time(self._settings.task_time_s)
+            self._world.set_chamber(action["target_c"])
+            text = _confirmation(prompt)
+        elif action["do"] == "read_temperature":
+            self._pass_time(self._settings.task_time_s)
+            text = f"{self._world.block_c:.2f}"
+        elif action["do"] == "select_input":
+            self._pass_time(self._settings.task_time_s)
+            self._world.select_input(action["source"], action.get("reference_v"))
+            text = _confirmation(prompt)
+        else:
+            text = _default(prompt)
         return Answer(prompt.id, text)
 
-    def _mount(self, prompt: Prompt, installation: str, series: int) -> str:
+    def _mount(self, prompt: Prompt, action: MountBlock) -> str:
         self._pass_time(self._settings.mount_time_s)
-        self._world.mount(installation, series)
+        self._world.mount(action["installation"], action.get("series", 1))
         self._turned_for = None
-        return _confirmation(prompt)
-
-    def _select_input(self, prompt: Prompt) -> str:
-        """Switch all three inputs together, as the procedure wants it."""
-        self._pass_time(self._settings.task_time_s)
-        reference = prompt.action.get("reference_v")
-        source = str(prompt.action["source"])
-        self._world.select_input(source, None if reference is None else _number(reference))
         return _confirmation(prompt)
 
     def _turn(self, prompt_id: str, target_rad: float, direction: Direction) -> str:
@@ -146,14 +138,3 @@ def _default(prompt: Prompt) -> str:
         f"the scripted operator has no answer to {prompt.text!r}, which wants {wanted}",
         "give the prompt a default in the procedure, or run it with a person",
     )
-
-
-def _number(value: object) -> float:
-    """Return a number of an action. Raises `TypeError` for anything else."""
-    if not isinstance(value, int | float):
-        raise TypeError(f"an action needs a number here, not {value!r}")
-    return float(value)
-
-
-def _whole(value: object) -> int:
-    return int(_number(value))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.analysis.budget import make_budget
+from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.calibration import CalibrationError, verify
 from bench.analysis.calibration.verification import acceptance_limit
 from bench.model import Block

@@ -103,9 +103,9 @@ def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench):
         status, out, _ = bench("calibrate", name, "--model", model, "--strict", "--json", "c.json")
         assert status == 0
         assert ("estimated anew" in out) is (name == first)
-        told = result_of("c.json")["effects"]["quadratic_nonlinearity.K2[y]"]
-        assert abs(told["value"] - 100) < 4 * told["u"]
-        u[name] = told["u"]
+        k2 = result_of("c.json")["effects"]["quadratic_nonlinearity.K2[y]"]
+        assert abs(k2["value"] - 100) < 4 * k2["u"]
+        u[name] = k2["u"]
     assert u[second] / u[first] == pytest.approx(1 / np.sqrt(2), rel=0.2)
 
 
@@ -187,7 +187,7 @@ def test_json_alone_goes_to_standard_output(bench):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["none.csv"], "none.csv: no such readings file"),
         (["null.csv", "--json", "nowhere/d.json"], "there is no such folder"),
@@ -197,14 +197,14 @@ def test_json_alone_goes_to_standard_output(bench):
         (["short.csv"], "short.csv, line 1: column"),
     ],
 )
-def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, told):
+def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, message):
     measured("null.csv", 3)
     text = Path("null.csv").read_text(encoding="utf-8")
     Path("counts.csv").write_text(text.replace("_v", "_counts"), encoding="utf-8")
     Path("short.csv").write_text("installation,pass\n1,1\n", encoding="utf-8")
     status, _, err = bench("diagnose", *arguments)
     assert status == 2
-    assert told in err
+    assert message in err
     assert "Traceback" not in err
 
 

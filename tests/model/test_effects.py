@@ -86,9 +86,9 @@ class Probe(Effect):
         self.constant = constant
         self.seen = None
 
-    def addition(self, values, signal, conditions, block):
-        self.seen = signal.copy()
-        return np.full_like(signal, self.constant)
+    def addition(self, values, seen):
+        self.seen = seen.signal.copy()
+        return np.full_like(seen.signal, self.constant)
 
 
 def test_stages_act_in_the_order_of_the_chain():

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bench.model import CATALOGUE, Block, Conditions, ForwardModel
+from bench.model.effects import Seen
 from tests.support.effect_bench import (
     BLOCK,
     CONDITIONS,
@@ -96,9 +97,8 @@ def test_a_run_that_begins_again_is_in_equilibrium_again():
         ["1"] * 5, np.zeros(5), time_s=[0, 600, 0, 600, 600], temperature_c=[20, 21, 25, 25, 30]
     )
     values = {"b_T": np.ones(3), "lag": np.array(600.0)}
-    got = CATALOGUE["thermal_bias"].addition(
-        values, np.zeros((5, 3)), conditions, Block(np.eye(3), np.zeros(3))
-    )
+    seen = Seen(np.zeros((5, 3)), conditions, Block(np.eye(3), np.zeros(3)))
+    got = CATALOGUE["thermal_bias"].addition(values, seen)
     np.testing.assert_allclose(got[:, 0], [0, np.exp(-1), 5, 5, 5], atol=1e-14)
 
 

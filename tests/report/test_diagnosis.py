@@ -6,8 +6,10 @@ import re
 import numpy as np
 import pytest
 
+from bench.analysis.diagnosis import NamedEffect
+from bench.analysis.diagnosis.result import EffectValue
 from bench.base.numbers import fixed
-from bench.cli.diagnose import Job, Options, examined
+from bench.cli.diagnose import Body, examined
 from bench.cli.source import Request, load_sources
 from bench.readings.csv import write_csv
 from bench.report.diagnosis.words import effect_title, parameters_in_words, smallest_found, unit_in_print
@@ -19,8 +21,7 @@ def page_of(folder, seed, **hidden):
     write_csv(paper_run(np.random.default_rng(seed), directions=(1, -1, 1), **hidden), folder / "r.csv")
     request = Request([str(folder / "r.csv")], folder, None, None, None, None, False)
     (source,) = load_sources(request)
-    result = examined(Job(source, ("0",)), Options(report=True))
-    return result, (folder / "diagnose" / "r.html").read_text(encoding="utf-8")
+    return examined(Body(source, ("0",))), (folder / "diagnose" / "r.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -58,16 +59,16 @@ def test_the_story_stands_in_order(named):
 
 
 def test_the_figures_are_those_of_the_result(named):
-    result, page = named
+    full, page = named
     text = text_of(page)
-    k2 = result["effects"][0]["parameters"]["K2"]["y"]
-    assert f"K2 of y = {fixed(k2['value'], 1)} ± {fixed(k2['u'], 1)} µg/g² (u)" in text
-    gap = result["gap"]
-    assert f"{gap['before']:.2f} before, {gap['after']:.2f} after; noise alone gives 1" in text
-    assert result["registered"]["sha256"] in text
-    assert result["model"] in text
-    for fold in gap["held_out"]:
-        assert fold["what"] in text
+    (k2,) = full.diagnosis.effects[0].parameters
+    assert f"K2 of y = {fixed(k2.value, 1)} ± {fixed(k2.u, 1)} µg/g² (u)" in text
+    gap = full.diagnosis.gap
+    assert f"{gap.before:.2f} before, {gap.after:.2f} after; noise alone gives 1" in text
+    assert full.diagnosis.registered.sha256 in text
+    assert str(full.model) in text
+    for fold in gap.folds:
+        assert fold.label in text
 
 
 def test_the_page_needs_nothing_but_itself(named):
@@ -79,23 +80,24 @@ def test_the_page_needs_nothing_but_itself(named):
 
 
 def test_nothing_found_is_told_with_what_would_not_show(agrees):
-    result, page = agrees
+    full, page = agrees
     text = text_of(page)
-    assert result["verdict"] == "agrees"
+    assert full.diagnosis.verdict == "agrees"
     assert "Nothing found" in text
     assert "What was found" not in text
     assert "What is smaller than the sizes at the end of this page would not show" in text
-    for name, size in smallest_found(result):
+    for name, size in smallest_found(full.diagnosis):
         assert f"{name} {size}" in text
-    for name in result["hidden"]:
+    assert full.diagnosis.hidden
+    for name in full.diagnosis.hidden:
         assert name in text
 
 
 def test_the_smallest_size_that_shows_is_about_that_of_the_noise(agrees):
     # readings of 15 uV on 2.1 V/g: a square of 1 g^2 in one channel is known to about 5 ug/g^2 (test of the
     # dry run), so that six times that is found in half of all runs
-    result, _ = agrees
-    sizes = dict(smallest_found(result))
+    full, _ = agrees
+    sizes = dict(smallest_found(full.diagnosis))
     assert sizes["quadratic_nonlinearity"].endswith(" µg/g²")
     assert 5 < float(sizes["quadratic_nonlinearity"].split()[0]) < 60
 
@@ -109,32 +111,27 @@ def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path)
     )
     request = Request([str(tmp_path / "r.csv")], tmp_path, None, None, None, None, False)
     (source,) = load_sources(request)
-    result = examined(Job(source, ("0",)), Options(report=True))
+    full = examined(Body(source, ("0",)))
     page = text_of((tmp_path / "diagnose" / "r.html").read_text(encoding="utf-8"))
-    assert result["verdict"] == "mistake"
+    assert full.diagnosis.verdict == "mistake"
     assert "swapped_channels , channel x, z" in page
     assert "the misfit of all readings goes from" in page
 
 
+def found(name, channels, installations, *parameters):
+    return NamedEffect(name, channels, installations, (), (), parameters, 0.0, 0.0, 1.0, "")
+
+
 def test_parameters_read_as_a_person_writes_them():
-    shape = {"value": 20.0, "unit": "min"}
-    told = {
-        "name": "warm_up",
-        "channels": ["x", "z"],
-        "parameters": {"A": {"x": {"value": -151.26, "u": 12.3, "unit": "ug"}}, "tau": shape},
-    }
-    assert effect_title(told) == "warm_up of x, z"
-    assert list(parameters_in_words(told)) == [
+    amplitude = EffectValue("A", "x", "", -151.26, 12.3, "ug")
+    warm_up = found("warm_up", ("x", "z"), (), amplitude, EffectValue("tau", "", "", 20.0, None, "min"))
+    assert effect_title(warm_up) == "warm_up of x, z"
+    assert list(parameters_in_words(warm_up)) == [
         "A of x = −151 ± 12 µg (u)",
         "tau = 20 min (its shape, the likeliest of those tried)",
     ]
-    by_mount = {"1": {"angle": {"value": 93.2, "u": 4.1, "unit": "arcsec"}}}
-    told = {
-        "name": "mounting_error",
-        "channels": ["x", "y", "z"],
-        "installations": ["1"],
-        "parameters": by_mount,
-    }
-    assert effect_title(told) == "mounting_error in installation 1"
-    assert list(parameters_in_words(told)) == ["angle in installation 1 = 93.2 ± 4.1″ (u)"]
+    angle = EffectValue("angle", "", "1", 93.2, 4.1, "arcsec")
+    mounting = found("mounting_error", ("x", "y", "z"), ("1",), angle)
+    assert effect_title(mounting) == "mounting_error in installation 1"
+    assert list(parameters_in_words(mounting)) == ["angle in installation 1 = 93.2 ± 4.1″ (u)"]
     assert unit_in_print("ug/g^3") == "µg/g³"

@@ -7,9 +7,10 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.procedure.plan import Ask, Mount, OnFailure, Plan, Read, SetTemperature, Turn, Wait
+from bench.readings.reading import Reading, readings_of
 from bench.run.control import OperatorWish, RunControl
-from bench.run.folder import readings_of
-from bench.run.record import Event, Record, RecordError, read_history
+from bench.run.events import Event
+from bench.run.record import Record, RecordError, read_history
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish, state_after
@@ -151,7 +152,7 @@ def test_a_run_records_every_step_and_closes_the_bench(tmp_path):
     assert history.state == "finished"
     assert set(bench.closed) == ALL
     assert [e.data["key"] for e in history.events if e.type == "step_done"] == [s.key for s in PLAN.steps]
-    table = readings_of(rows, "run")
+    table = readings_of([Reading.from_json(row) for row in rows], "run")
     assert table.signal.tolist() == [[1.5, 1.5, 1.5]] * 6
     assert table.angle_rad == pytest.approx([p * 0.5 + 1e-5 for p in (1, 2, 3)] * 2, abs=1e-11)
     assert history.events[0].data["instruments"]["voltmeter.x"] == "HEWLETT-PACKARD 34401A"

@@ -1,6 +1,7 @@
 """The samples of a reading: scatter, drift and Grubbs' test against scipy and published tables."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -21,22 +22,22 @@ def test_critical_values_are_those_of_grubbs_table(n, published):
 @pytest.mark.parametrize("n", [3, 10, 512])
 def test_mean_sd_and_drift_agree_with_scipy(n):
     x = np.random.default_rng([11, n]).normal(2.1, 1e-4, n)
-    told = describe({"x": x}, interval_s=0.4)["x"]
+    told = describe({"x": x})["x"]
     line = stats.linregress(np.arange(n), x)
-    assert told["mean"] == pytest.approx(np.mean(x), rel=1e-14)
-    assert told["sd"] == pytest.approx(np.std(x, ddof=1), rel=1e-9)
-    assert told["drift"] == pytest.approx(line.slope * (n - 1), rel=1e-7)
-    assert told["drift_u"] == pytest.approx(line.stderr * (n - 1), rel=1e-7)
-    assert told["drift_p"] == pytest.approx(line.pvalue, rel=1e-6)
-    assert told["drift_per_s"] == pytest.approx(line.slope / 0.4, rel=1e-7)
+    assert told.mean == pytest.approx(np.mean(x), rel=1e-14)
+    assert told.sd == pytest.approx(np.std(x, ddof=1), rel=1e-9)
+    assert told.drift == pytest.approx(line.slope * (n - 1), rel=1e-7)
+    assert told.drift_u == pytest.approx(line.stderr * (n - 1), rel=1e-7)
+    assert told.drift_p == pytest.approx(line.pvalue, rel=1e-6)
+    assert told.drift_per_s(0.4) == pytest.approx(line.slope / 0.4, rel=1e-7)
 
 
 def test_false_outliers_and_drifts_are_as_rare_as_stated():
     """4000 readings: the counts lie within four standard deviations of 1 % and of 5 %."""
     rng = np.random.default_rng(5)
     told = [describe({"x": rng.normal(0.0, 1.0, 10)})["x"] for _ in range(4000)]
-    outliers = sum(one["outlier"] is not None for one in told)
-    drifts = sum(one["drift_p"] < 0.05 for one in told)
+    outliers = sum(one.outlier is not None for one in told)
+    drifts = sum(one.drift_p < 0.05 for one in told)
     assert abs(outliers - 40) < 4 * np.sqrt(40)
     assert abs(drifts - 200) < 4 * np.sqrt(190)
 
@@ -44,42 +45,43 @@ def test_false_outliers_and_drifts_are_as_rare_as_stated():
 def test_an_outlier_is_named_and_left_where_it_is():
     x = [1.0, 1.1, 0.9, 1.05, 0.95, 9.0, 1.0, 1.1, 0.9, 1.0]
     told = describe({"y": x})["y"]
-    assert told["outlier"]["sample"] == 6
-    assert told["outlier"]["value"] == 9.0
-    assert told["mean"] == pytest.approx(np.mean(x))
+    assert told.outlier.sample == 6
+    assert told.outlier.value == 9.0
+    assert told.mean == pytest.approx(np.mean(x))
 
 
 def test_a_drift_is_seen():
     x = 1e-5 * np.arange(10) + np.random.default_rng(2).normal(0.0, 5e-6, 10)
     told = describe({"z": x})["z"]
-    assert told["drift_p"] < 1e-4
-    assert told["drift"] == pytest.approx(9e-5, abs=4 * told["drift_u"])
+    assert told.drift_p < 1e-4
+    assert told.drift == pytest.approx(9e-5, abs=4 * told.drift_u)
 
 
 @pytest.mark.parametrize("level", [0.0, 2.177087, -0.1])
 def test_equal_samples_have_neither_scatter_nor_drift_nor_outlier(level):
     told = describe({"x": [level] * 10})["x"]
-    assert (told["sd"], told["drift"], told["drift_p"], told["outlier"]) == (0.0, 0.0, 1.0, None)
+    assert (told.sd, told.drift, told.drift_p, told.outlier) == (0.0, 0.0, 1.0, None)
 
 
 def test_one_digit_of_a_quantised_reading_is_no_outlier_where_the_digit_is_known():
     x = [2.1] * 9 + [2.1 + 1e-5]
-    assert describe({"x": x})["x"]["outlier"]["sample"] == 10
-    assert describe({"x": x}, resolution=1e-5)["x"]["outlier"] is None
-    assert describe({"x": [2.1] * 9 + [2.11]}, resolution=1e-5)["x"]["outlier"] is not None
+    assert describe({"x": x})["x"].outlier.sample == 10
+    assert describe({"x": x}, resolution=1e-5)["x"].outlier is None
+    assert describe({"x": [2.1] * 9 + [2.11]}, resolution=1e-5)["x"].outlier is not None
 
 
 def test_one_and_two_samples_have_what_they_can_have():
-    told = describe({"x": [1.0], "y": [1.0, 3.0], "z": [1.0, 2.0, 3.0]}, interval_s=1.0)
-    assert (told["x"]["mean"], told["x"]["sd"], told["x"]["drift"]) == (1.0, None, None)
-    assert told["y"]["sd"] == pytest.approx(np.sqrt(2.0))
-    assert (told["y"]["drift"], told["y"]["drift_per_s"]) == (None, None)
-    assert (told["z"]["drift"], told["z"]["drift_p"]) == (pytest.approx(2.0), 0.0)
+    told = describe({"x": [1.0], "y": [1.0, 3.0], "z": [1.0, 2.0, 3.0]})
+    assert (told["x"].mean, told["x"].sd, told["x"].drift) == (1.0, None, None)
+    assert told["y"].sd == pytest.approx(np.sqrt(2.0))
+    assert (told["y"].drift, told["y"].drift_per_s(1.0)) == (None, None)
+    assert (told["z"].drift, told["z"].drift_p) == (pytest.approx(2.0), 0.0)
 
 
 def test_what_is_told_can_be_recorded():
     x = np.random.default_rng(1).normal(size=512)
-    json.dumps(describe({"x": x.tolist(), "y": [0.0], "z": [1.0, 1.0, 9.0]}), allow_nan=False)
+    told = describe({"x": x.tolist(), "y": [0.0], "z": [1.0, 1.0, 9.0]})
+    json.dumps({channel: asdict(one) for channel, one in told.items()}, allow_nan=False)
 
 
 @pytest.mark.parametrize("values", [[], [1.0, float("nan")], [float("inf")]])

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from bench.analysis.budget import Setup, stand_source
+from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.sources import stand_source
 from bench.model import Block, Conditions, Distribution, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import ARCSEC, U0, K, design

@@ -13,14 +13,16 @@ from typing import Any, Final
 import numpy as np
 from scipy import special
 
-from bench.analysis.budget.coefficients import Budget, Contribution, number, parts_of
+from bench.analysis.budget.coefficients import Budget, Contribution, parts_of
 from bench.analysis.budget.propagation import coverage_factor, effective_dof
 from bench.analysis.budget.sources import ErrorSource
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import acceptance_limit, modulus_slopes
 from bench.base.arrays import Floats
+from bench.base.numbers import finite_or_none
 from bench.model import Conditions, Stage
+from bench.model.effects import Seen
 
 DIRECTIONS: Final = 1000
 MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -45,14 +47,12 @@ class Measured:
     @property
     def u_vector(self) -> Floats:
         """Root of the sum of the three variances, g, shape (d,)."""
-        root: Floats = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2))
-        return root
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
 
     @property
     def u_modulus(self) -> Floats:
         """Standard uncertainty of the modulus, g, shape (d,)."""
-        root: Floats = np.sqrt(self.modulus_variance(self.covariance))
-        return root
+        return np.sqrt(self.modulus_variance(self.covariance))
 
     @property
     def dof_modulus(self) -> Floats:
@@ -63,8 +63,7 @@ class Measured:
     def modulus_variance(self, covariance: Floats) -> Floats:
         """Return the variance of the modulus (d,) from covariances (d, 3, 3) of the components."""
         unit = self.force / np.linalg.norm(self.force, axis=1)[:, None]
-        variance: Floats = np.einsum("di,dij,dj->d", unit, covariance, unit)
-        return variance
+        return np.asarray(np.einsum("di,dij,dj->d", unit, covariance, unit))
 
 
 def measured(
@@ -125,7 +124,7 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
     applied = setup.model.effects[unknown.effect]
     if applied.effect.stage is not Stage.BLOCK_OUTPUT or applied.effect.needs_history:
         return none
-    conditions = Conditions.of(["1"] * len(force), np.zeros(len(force)))
+    seen = Seen(force, Conditions.of(["1"] * len(force), np.zeros(len(force))), setup.block)
     values = applied.complete_values()
     step = 1e-3 * unknown.prior_u
 
@@ -133,7 +132,7 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
         changed = np.array(values[unknown.parameter])
         changed[() if unknown.channel is None else unknown.channel] += change
         all_values = {**values, unknown.parameter: changed}
-        return applied.effect.addition(all_values, force, conditions, setup.block)
+        return applied.effect.addition(all_values, seen)
 
     slope = (addition(step) - addition(-step)) / (2 * step)
     return source.u * slope[:, :, None]
@@ -221,7 +220,7 @@ class DeltaG:
 
     def to_json(self) -> dict[str, Any]:
         """Return the values as JSON has them."""
-        return {**vars(self), "dof": number(self.dof), "capable": self.capable}
+        return {**vars(self), "dof": finite_or_none(self.dof), "capable": self.capable}
 
 
 def delta_g(

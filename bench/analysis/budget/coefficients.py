@@ -22,6 +22,7 @@ from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import ErrorSource, influences, sizes_by_name
 from bench.analysis.calibration.estimators import GLS
 from bench.base.arrays import Floats
+from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS
 
 
@@ -38,14 +39,12 @@ class Contribution:
     @property
     def covariance(self) -> Floats:
         """Covariance of the coefficients from this source alone, shape (12, 12)."""
-        matrix: Floats = self.parts @ self.parts.T
-        return matrix
+        return self.parts @ self.parts.T
 
     @property
     def u(self) -> Floats:
         """Standard uncertainties from this source alone, shape (12,), V/g and V."""
-        root: Floats = np.sqrt(np.sum(self.parts**2, axis=1))
-        return root
+        return np.asarray(np.sqrt(np.sum(self.parts**2, axis=1)))
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class Budget:
                 name: {
                     "value": float(total.value[i]),
                     "u": float(total.u[i]),
-                    "dof": number(total.dof[i]),
+                    "dof": finite_or_none(total.dof[i]),
                     "k": float(factor[i]),
                     "U": float(factor[i] * total.u[i]),
                     "by_source": {c.source.name: float(c.u[i]) for c in self.contributions},
@@ -142,11 +141,6 @@ def parts_of(source: ErrorSource, setup: Setup, functionals: Floats) -> Floats:
     return source.u * np.concatenate(parts, axis=1)
 
 
-def number(value: float) -> float | None:
-    """Return a number as JSON has it: null where it is not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
 def _source_json(contribution: Contribution) -> dict[str, Any]:
     source = contribution.source
     return {
@@ -158,7 +152,7 @@ def _source_json(contribution: Contribution) -> dict[str, Any]:
         "distribution": source.distribution.shape,
         "common_to": source.common,
         "group": source.group,
-        "dof": number(source.dof),
+        "dof": finite_or_none(source.dof),
         "prior": source.prior,
         "origin": source.origin,
         "contribution_u": contribution.u.tolist(),

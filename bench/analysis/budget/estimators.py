@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.analysis.budget.setup import Setup, rows_of
+from bench.analysis.budget.setup import Setup
 from bench.analysis.calibration import gls
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
@@ -28,7 +28,7 @@ def gain(estimator: str, setup: Setup, stated: Mapping[str, float]) -> Floats:
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
     stand_u = {name: stated.get(name, 0.0) for name in STAND_ANGLES}
-    problem = make_problem(setup.model, rows_of(setup.conditions, setup.fitted), stand_u)
+    problem = make_problem(setup.model, setup.conditions.select(setup.fitted), stand_u)
     whole = np.zeros((FIXED, len(setup.conditions), 3))
     if by.gain is not None:
         whole[:, setup.fitted] = by.gain(problem, setup.readings())

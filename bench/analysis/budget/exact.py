@@ -7,7 +7,6 @@ errors are left out (parts of 1e-9). Source: JCGM 101:2008, clauses 7 and 8; JCG
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -18,16 +17,16 @@ from bench.analysis.budget.coefficients import Budget
 from bench.analysis.budget.monte_carlo import (
     Distributed,
     Validation,
+    batches,
     drawn,
     require_trials,
     summary,
     validate,
 )
 from bench.analysis.budget.propagation import Propagated
-from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import ErrorSource, influences
 from bench.base.arrays import Floats
-from bench.model import STAND_ANGLES, Conditions
+from bench.model import STAND_ANGLES
 from bench.model.block import COEFFICIENTS
 
 BATCH: Final = 200
@@ -82,7 +81,7 @@ def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1, digits: int = 
     require_trials(trials, budget.probability)
     rng = np.random.default_rng(seed)
     simulated = _Simulation(budget)
-    outputs = np.concatenate([simulated.outputs(count, rng) for count in _counts(trials)])
+    outputs = np.concatenate([simulated.outputs(count, rng) for count in batches(trials, BATCH)])
     found = summary(outputs, budget.probability)
     linear = _linear(budget)
     points = [f"Δg {np.degrees(a):g}°" for a in budget.setup.conditions.angle_rad[budget.setup.verification]]
@@ -106,11 +105,6 @@ def _linear(budget: Budget) -> Propagated:
         covariance,
         np.concatenate([total.dof, [p.dof for p in points]]),
     )
-
-
-def _counts(trials: int) -> Iterator[int]:
-    for begun in range(0, trials, BATCH):
-        yield min(BATCH, trials - begun)
 
 
 class _Simulation:
@@ -143,8 +137,7 @@ class _Simulation:
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
         """Apply the estimator to readings less those of a stand without errors, which it returns exactly."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
-        vector: Floats = self._setup.block.vector + flat
-        return vector
+        return self._setup.block.vector + flat
 
     def readings(self, trials: int, rng: np.random.Generator) -> Floats:
         """Return readings (trials, n, 3), V."""
@@ -155,7 +148,10 @@ class _Simulation:
             stand[:, :, STAND_ANGLES.index(source.name)] = _draw(source, (trials, mounts), rng)
         setting = sum((_draw(s, (trials, n), rng) for s in self._setting), np.zeros((trials, n)))
         signal = self._plain.readings(
-            setup.block, _tiled(setup, trials), stand.reshape(-1, len(STAND_ANGLES)), setting.reshape(-1)
+            setup.block,
+            setup.conditions.repeated(trials),
+            stand.reshape(-1, len(STAND_ANGLES)),
+            setting.reshape(-1),
         ).reshape(trials, n, 3)
         signal += self._effects
         for source, parts in self._additive:
@@ -166,21 +162,3 @@ class _Simulation:
 
 def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     return drawn(source.distribution, shape, rng, source.dof)
-
-
-def _tiled(setup: Setup, trials: int) -> Conditions:
-    """Return the conditions so many times over, each time in mountings of its own."""
-    conditions = setup.conditions
-    own = len(conditions.mounts) * np.arange(trials)[:, None]
-    return replace(
-        conditions,
-        mounts=conditions.mounts * trials,
-        mount=(conditions.mount[None, :] + own).reshape(-1),
-        pass_number=np.tile(conditions.pass_number, trials),
-        point=np.tile(conditions.point, trials),
-        angle_rad=np.tile(conditions.angle_rad, trials),
-        direction=np.tile(conditions.direction, trials),
-        time_s=np.tile(conditions.time_s, trials),
-        temperature_c=np.tile(conditions.temperature_c, trials),
-        scan_order=np.tile(conditions.scan_order, (trials, 1)),
-    )

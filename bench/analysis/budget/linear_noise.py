@@ -9,25 +9,19 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats, Singles
+from bench.base.arrays import Floats, HasCovariance, Singles
 
 BATCH: Final = 512
 """So small that a batch stays in the cache and that its product is not shared out among threads."""
 
 
 @dataclass(frozen=True)
-class Moments:
+class Moments(HasCovariance):
     """Mean (m,) and covariance (m, m) of outputs, with the number of trials."""
 
     mean: Floats
     covariance: Floats
     trials: int
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties, shape (m,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
 
 
 def linear_noise(gain: Floats, sigma: Floats, seed: int, trials: int) -> Moments:

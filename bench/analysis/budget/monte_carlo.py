@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bench.analysis.budget.propagation import COVERAGE, Propagated
+from bench.analysis.budget.propagation import COVERAGE, Propagated, require_probability
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, HasCovariance, Mask
 from bench.model.distribution import Distribution
 
 Draw = Callable[[np.random.Generator, int], Floats]
@@ -56,7 +55,7 @@ def about(mean: float, distribution: Distribution, dof: float = math.inf) -> Dra
 
 
 @dataclass(frozen=True)
-class Distributed:
+class Distributed(HasCovariance):
     """Outputs as Monte Carlo gives them: `mean` (m,), `u` (m,), `covariance` (m, m).
 
     `symmetric` (m, 2) are the ends of the probabilistically symmetric coverage intervals for `probability`,
@@ -72,12 +71,6 @@ class Distributed:
     trials: int
     stable: bool = True
 
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties, shape (m,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
-
 
 def monte_carlo(
     function: Function,
@@ -92,7 +85,7 @@ def monte_carlo(
     number.
     """
     require_trials(trials, probability)
-    outputs = np.concatenate([*_batches(function, draw, rng, trials)])
+    outputs = np.concatenate([*_outputs(function, draw, rng, trials)])
     return summary(outputs, probability)
 
 
@@ -109,11 +102,11 @@ def adaptive_monte_carlo(
     Sequences of trials are added until twice the standard deviation of each average is within the numerical
     tolerance. Source: JCGM 101:2008, 7.9.4. `stable` is false where `most_trials` came first.
     """
-    size = max(math.ceil(100.0 / (1.0 - probability)), _LEAST_SEQUENCE)
+    size = max(_least_trials(probability), _LEAST_SEQUENCE)
     found: list[Floats] = []
     results: list[Floats] = []
     while True:
-        outputs = np.concatenate([*_batches(function, draw, rng, size)])
+        outputs = np.concatenate([*_outputs(function, draw, rng, size)])
         one = summary(outputs, probability)
         found.append(outputs)
         results.append(np.stack([one.mean, one.u, *one.symmetric.T]))
@@ -168,7 +161,7 @@ class Validation:
     ratio: Floats
 
     @property
-    def validated(self) -> NDArray[np.bool_]:
+    def validated(self) -> Mask:
         """Where both ends agree within delta, shape (m,)."""
         return np.asarray((self.low <= self.tolerance) & (self.high <= self.tolerance))
 
@@ -192,19 +185,23 @@ def validate(
 
 def require_trials(trials: int, probability: float) -> None:
     """Refuse too few trials for a coverage interval (JCGM 101:2008, 7.2). Raises `CalibrationError`."""
-    if not 0.0 < probability < 1.0:
-        raise CalibrationError(f"a coverage probability lies between 0 and 1, not at {probability:g}")
-    least = math.ceil(100.0 / (1.0 - probability))
+    require_probability(probability)
+    least = _least_trials(probability)
     if trials < least:
         raise CalibrationError(f"{trials} trials are too few for a coverage interval; take {least} or more")
 
 
-def _sizes(count: int, batch: int) -> Iterator[int]:
+def _least_trials(probability: float) -> int:
+    return math.ceil(100.0 / (1.0 - probability))
+
+
+def batches(count: int, batch: int) -> Iterator[int]:
+    """Yield the sizes of the batches in which so many trials are made."""
     for begun in range(0, count, batch):
         yield min(batch, count - begun)
 
 
-def _batches(function: Function, draw: Draw, rng: np.random.Generator, trials: int) -> Iterator[Floats]:
-    for size in _sizes(trials, BATCH):
+def _outputs(function: Function, draw: Draw, rng: np.random.Generator, trials: int) -> Iterator[Floats]:
+    for size in batches(trials, BATCH):
         outputs = np.asarray(function(draw(rng, size)), dtype=np.float64)
         yield outputs.reshape(size, -1)

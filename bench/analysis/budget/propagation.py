@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, HasCovariance, u_of
 
 COVERAGE: Final = 0.9545
 """The coverage probability of results: that of k = 2 for a normal distribution (EA-4/02 M:2022, section 5)."""
@@ -28,12 +28,17 @@ def coverage_factor(dof: ArrayLike, probability: float = COVERAGE) -> Floats:
 
     Source: JCGM 100:2008, G.3. Raises `CalibrationError` for a probability outside 0 to 1.
     """
-    if not 0.0 < probability < 1.0:
-        raise CalibrationError(f"a coverage probability lies between 0 and 1, not at {probability:g}")
+    require_probability(probability)
     nu = np.asarray(dof, dtype=np.float64)
     finite = stats.t.ppf(0.5 * (1.0 + probability), np.where(np.isinf(nu), 1.0, nu))
     normal = stats.norm.ppf(0.5 * (1.0 + probability))
     return np.asarray(np.where(np.isinf(nu), normal, finite), dtype=np.float64)
+
+
+def require_probability(probability: float) -> None:
+    """Refuse what is no coverage probability. Raises `CalibrationError`."""
+    if not 0.0 < probability < 1.0:
+        raise CalibrationError(f"a coverage probability lies between 0 and 1, not at {probability:g}")
 
 
 def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
@@ -51,18 +56,12 @@ def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
 
 
 @dataclass(frozen=True)
-class Propagated:
+class Propagated(HasCovariance):
     """Outputs `value` (m,) with their `covariance` (m, m) and effective degrees of freedom `dof` (m,)."""
 
     value: Floats
     covariance: Floats
     dof: Floats
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties, shape (m,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
 
     @property
     def correlation(self) -> Floats:
@@ -140,7 +139,7 @@ def propagate(value: ArrayLike, sensitivity: ArrayLike, inputs: Inputs) -> Propa
 
 def correlation_of(covariance: Floats) -> Floats:
     """Return the correlation coefficients of a covariance (m, m); zero beside the diagonal where a u is zero."""
-    u = np.sqrt(np.diag(covariance))
+    u = u_of(covariance)
     size = np.where(u > 0.0, u, np.inf)
     matrix: Floats = covariance / np.outer(size, size)
     np.fill_diagonal(matrix, 1.0)
@@ -149,8 +148,7 @@ def correlation_of(covariance: Floats) -> Floats:
 
 def _variance(slopes: Floats, covariance: Floats, group: Sequence[int]) -> Floats:
     own = slopes[:, list(group)]
-    shared: Floats = np.einsum("mi,ij,mj->m", own, covariance[np.ix_(list(group), list(group))], own)
-    return shared
+    return np.asarray(np.einsum("mi,ij,mj->m", own, covariance[np.ix_(list(group), list(group))], own))
 
 
 def _require_covariance(covariance: Floats) -> None:

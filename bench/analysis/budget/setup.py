@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from bench.analysis.calibration.design import FIXED, Problem, make_problem
+from bench.analysis.calibration.design import FIXED, STEP_RAD, Problem, make_problem
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Ints, Mask
 from bench.files.bench.file import BenchFile
@@ -17,7 +17,6 @@ from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel
 from bench.procedure.plan import Plan, Read, SetTemperature
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
 
-STEP_RAD: Final = 1e-5
 _SAME_FORCE_G: Final = 1e-6
 
 
@@ -48,31 +47,27 @@ class Setup:
     @cached_property
     def force(self) -> Floats:
         """Specific forces on the block at a stand without errors, g, shape (n, 3)."""
-        return self.model.specific_force(self.conditions, self._angles(None, 0.0), self.block)
+        return self.model.specific_force(self.conditions, self._angles(), self.block)
 
     @cached_property
     def signal(self) -> Floats:
         """The readings at a stand without errors, V, shape (n, 3)."""
-        return self.model.readings(self.block, self.conditions, self._angles(None, 0.0))
+        return self.model.readings(self.block, self.conditions, self._angles())
 
     @cached_property
     def setting_slope(self) -> Floats:
         """du/dphi, V/rad, shape (n, 3)."""
-        angles = self._angles(None, 0.0)
-        up, down = (
-            self.model.readings(self.block, self.conditions, angles, s) for s in (STEP_RAD, -STEP_RAD)
-        )
-        slope: Floats = (up - down) / (2 * STEP_RAD)
-        return slope
+        return self._slope(lambda step: (self._angles(), step))
 
     def stand_slope(self, name: str) -> Floats:
         """Return the derivatives of the readings by a stand angle of their mounting, V/rad, shape (n, 3)."""
+        return self._slope(lambda step: (self._angles(name, step), 0.0))
+
+    def _slope(self, errors: Callable[[float], tuple[Floats, float]]) -> Floats:
         up, down = (
-            self.model.readings(self.block, self.conditions, self._angles(name, step))
-            for step in (STEP_RAD, -STEP_RAD)
+            self.model.readings(self.block, self.conditions, *errors(step)) for step in (STEP_RAD, -STEP_RAD)
         )
-        slope: Floats = (up - down) / (2 * STEP_RAD)
-        return slope
+        return (up - down) / (2 * STEP_RAD)
 
     @cached_property
     def orientation(self) -> Ints:
@@ -92,7 +87,7 @@ class Setup:
         problem = self.effect_problem
         return problem.jacobian(self.block, problem.prior_mean)[:, :, FIXED:]
 
-    def _angles(self, name: str | None, size_rad: float) -> Floats:
+    def _angles(self, name: str | None = None, size_rad: float = 0.0) -> Floats:
         angles = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         if name is not None:
             angles[:, STAND_ANGLES.index(name)] = size_rad
@@ -100,7 +95,7 @@ class Setup:
 
     def readings(self) -> Readings:
         """Return the readings to fit as a table without noise, in the order of `conditions`."""
-        own = rows_of(self.conditions, self.fitted)
+        own = self.conditions.select(self.fitted)
         return make_readings(
             [own.mounts[m].installation for m in own.mount],
             own.pass_number.tolist(),
@@ -113,23 +108,6 @@ class Setup:
             time_s=own.time_s,
             temperature_c=own.temperature_c,
         )
-
-
-def rows_of(conditions: Conditions, rows: Mask) -> Conditions:
-    """Return the rows where the mask (n,) is true, with the mountings that they are of."""
-    used, mount = np.unique(conditions.mount[rows], return_inverse=True)
-    return replace(
-        conditions,
-        mounts=tuple(conditions.mounts[i] for i in used),
-        mount=mount.ravel().astype(np.int64),
-        pass_number=conditions.pass_number[rows],
-        point=conditions.point[rows],
-        angle_rad=conditions.angle_rad[rows],
-        direction=conditions.direction[rows],
-        time_s=conditions.time_s[rows],
-        temperature_c=conditions.temperature_c[rows],
-        scan_order=conditions.scan_order[rows],
-    )
 
 
 def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -12,7 +12,7 @@ import numpy as np
 from bench.analysis.budget.influence import Influence
 from bench.analysis.budget.setup import Setup
 from bench.analysis.calibration.design import SYMBOLS, WEAK, EffectUnknown
-from bench.base.arrays import ARCSEC, CHANNELS, Floats
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
 from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import STAND_ERRORS, BenchFile
 from bench.files.bench.stand import ErrorSize, Location
@@ -153,11 +153,11 @@ def _voltmeter_sources(bench: BenchFile) -> Iterator[ErrorSource]:
     whose = f"{meter.driver}, limits of 90 days on {range_v:g} V"
     largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))
     curved_v = kind.linearity[0] * largest_v + kind.linearity[1] * range_v
-    told = bench.uncertainty
+    section = bench.uncertainty
     for name, symbol, unit, limit, common, stated in (
-        ("voltmeter_gain", "gain", "1", of_reading, "run", told.voltmeter_gain),
-        ("voltmeter_offset", "offset", "V", of_range * range_v, "run", told.voltmeter_offset),
-        ("voltmeter_linearity", "linearity", "V", curved_v, "orientation", told.voltmeter_linearity),
+        ("voltmeter_gain", "gain", "1", of_reading, "run", section.voltmeter_gain),
+        ("voltmeter_offset", "offset", "V", of_range * range_v, "run", section.voltmeter_offset),
+        ("voltmeter_linearity", "linearity", "V", curved_v, "orientation", section.voltmeter_linearity),
     ):
         usual = Distribution(limit, "rectangular")
         yield _stated(name, symbol, unit, common, stated, usual, whose)  # type: ignore[arg-type]
@@ -166,12 +166,12 @@ def _voltmeter_sources(bench: BenchFile) -> Iterator[ErrorSource]:
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Relative to local gravity. A number has the uncertainty of its last digit, at least that of a survey."""
     g = bench.gravity_m_s2
-    told = bench.uncertainty.gravity
+    stated = bench.uncertainty.gravity
     if g is None:
         return
-    if told is not None:
-        relative = replace(told.to_distribution(), limit=told.limit / g)
-        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", told.dof)
+    if stated is not None:
+        relative = replace(stated.to_distribution(), limit=stated.limit / g)
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", stated.dof)
     elif isinstance(bench.gravity, Location):
         origin = "WGS 84 formula: anomalies of 50 mGal"
         yield ErrorSource(
@@ -187,21 +187,21 @@ def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _temperature_source(bench: BenchFile) -> ErrorSource:
-    told, chamber = bench.uncertainty, bench.instruments.chamber
+    section, chamber = bench.uncertainty, bench.instruments.chamber
     band = getattr(chamber, "band", None)
     usual, origin = (CHAMBER, "no band stated: ±0.5 K") if band is None else (
         Distribution(band, "rectangular"), "band of the chamber"
     )  # fmt: skip
-    sizes = (told.bias_temperature_coefficient, told.scale_temperature_coefficient)
+    sizes = (section.bias_temperature_coefficient, section.scale_temperature_coefficient)
     coefficients = [
         (prior if size is None else size.to_distribution()).u
         for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True)
     ]
-    source = _stated("temperature", "T", "K", "mounting", told.temperature, usual, origin)
+    source = _stated("temperature", "T", "K", "mounting", section.temperature, usual, origin)
     return replace(
         source,
         origin=f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)",
-        prior=told.temperature is None or None in sizes,
+        prior=section.temperature is None or None in sizes,
         factors={"bias": coefficients[0], "scale": coefficients[1]},
     )
 
@@ -243,8 +243,7 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """
     problem = setup.effect_problem
     for name, unknown in zip(problem.names(), problem.effects, strict=True):
-        applied = setup.model.effects[unknown.effect]
-        parameter = next(p for p in applied.effect.parameters if p.name == unknown.parameter)
+        parameter = problem.parameter(unknown)
         yield ErrorSource(
             name=name,
             symbol=parameter.name,
@@ -262,74 +261,53 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
 # --- what they do to the readings -------------------------------------------------------------------
 
 
+_Patterns = Sequence[tuple[Floats, Ints]]
+"""What a unit of a source does to the signals, V (n, 3), and what shares a draw of it, as `Influence.of`."""
+
+_EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
+
+
 def influences(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
     """Return how a unit of the source acts on the readings of a setup; parts of it are independent."""
     if source.effect is not None:
-        return (_effect(source, setup),)
-    if source.name in STAND_ANGLES:
-        return (Influence.of(setup.stand_slope(source.name), setup.conditions.mount[:, None]),)
-    return _INFLUENCES[source.name](source, setup)
+        column = setup.effect_problem.effects.index(source.effect)
+        patterns: _Patterns = [(setup.effect_columns[:, :, column], _EVERYTHING)]
+    elif source.name in STAND_ANGLES:
+        patterns = [(setup.stand_slope(source.name), setup.conditions.mount[:, None])]
+    else:
+        patterns = _PATTERNS[source.name](source, setup)
+    return tuple(Influence.of(pattern, group) for pattern, group in patterns)
 
 
-def _fresh(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
-    n = len(setup.conditions)
-    return (Influence(np.ones((n, 3)), np.arange(3 * n).reshape(n, 3), 3 * n),)
-
-
-def _setting(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
-    return (Influence.of(setup.setting_slope, np.arange(len(setup.conditions))[:, None]),)
-
-
-def _gain(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
-    return (Influence.of(setup.signal, np.array(setup.meters)[None, :]),)
-
-
-def _offset(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
-    return (Influence.of(np.ones_like(setup.signal), np.array(setup.meters)[None, :]),)
-
-
-def _linearity(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
+def _linearity(source: ErrorSource, setup: Setup) -> _Patterns:
     # the same voltage gives the same error: repeats do not average it; channels have voltages of their own
-    group = 3 * setup.orientation[:, None] + np.arange(3)
-    return (Influence.of(np.ones_like(setup.signal), group),)
+    return [(np.ones_like(setup.signal), 3 * setup.orientation[:, None] + np.arange(3))]
 
 
-def _gravity(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
-    return (Influence.of(setup.force @ setup.block.K.T, np.zeros((1, 1), dtype=np.int64)),)
-
-
-def _temperature(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
+def _temperature(source: ErrorSource, setup: Setup) -> _Patterns:
     # the coefficients' signs are not known, so that bias and scale of each channel move on their own
     factors = source.factors or {}
     group = 3 * setup.conditions.mount[:, None] + np.arange(3)
     sensed = setup.force @ setup.block.K.T
     bias = np.broadcast_to(np.diag(setup.block.K), sensed.shape)
-    return (
-        Influence.of(factors["bias"] * bias, group),
-        Influence.of(factors["scale"] * sensed, group),
-    )
+    return [(factors["bias"] * bias, group), (factors["scale"] * sensed, group)]
 
 
-def _power(exponent: int) -> Callable[[ErrorSource, Setup], tuple[Influence, ...]]:
-    def act(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
+def _power(exponent: int) -> Callable[[ErrorSource, Setup], _Patterns]:
+    def act(source: ErrorSource, setup: Setup) -> _Patterns:
         factor = np.diag(setup.block.K) * source.on_channels
-        return (Influence.of(factor * setup.force**exponent, np.arange(3)[None, :]),)
+        return [(factor * setup.force**exponent, np.arange(3)[None, :])]
 
     return act
 
 
-def _effect(source: ErrorSource, setup: Setup) -> Influence:
-    column = setup.effect_problem.effects.index(source.effect)
-    return Influence.of(setup.effect_columns[:, :, column], np.zeros((1, 1), dtype=np.int64))
-
-
-_INFLUENCES: Final[Mapping[str, Callable[[ErrorSource, Setup], tuple[Influence, ...]]]] = {
-    "voltmeter_error": _fresh,
-    "setting_error": _setting,
-    "voltmeter_gain": _gain,
-    "voltmeter_offset": _offset,
+_PATTERNS: Final[Mapping[str, Callable[[ErrorSource, Setup], _Patterns]]] = {
+    "voltmeter_error": lambda _, s: [(np.ones_like(s.signal), np.arange(s.signal.size).reshape(-1, 3))],
+    "setting_error": lambda _, s: [(s.setting_slope, np.arange(len(s.conditions))[:, None])],
+    "voltmeter_gain": lambda _, s: [(s.signal, np.array(s.meters)[None, :])],
+    "voltmeter_offset": lambda _, s: [(np.ones_like(s.signal), np.array(s.meters)[None, :])],
     "voltmeter_linearity": _linearity,
-    "gravity": _gravity,
+    "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
     "temperature": _temperature,
     "K2": _power(2),
     "K3": _power(3),

@@ -7,17 +7,23 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.calibration.design import FIXED, SYMBOLS, Problem
-from bench.analysis.calibration.null_space import DirectionKind, told_axis
+from bench.analysis.calibration.null_space import DirectionKind, axis_in_words
 from bench.analysis.calibration.observability import Columns, Observability, columns_of, with_angles
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import ARCSEC, Floats
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.block import COEFFICIENTS, Block, hidden_axes
 from bench.model.geometry import STAND_ANGLES
 
 MATTERS: Final = 0.02
 """A coefficient is named when it takes more than this part of the largest effect of an assumption."""
-MOST_TOLD: Final = 8
+MOST_NAMED: Final = 8
 """More stand angles than these are told by their symbols."""
+
+GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it"
+GRAVITY: Final = (
+    "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
+    "whatever is computed from them in m/s^2"
+)
 
 
 def require_rank(force: Floats) -> None:
@@ -25,13 +31,10 @@ def require_rank(force: Floats) -> None:
 
     Raises `CalibrationError` naming what is missing.
     """
-    columns = np.column_stack([force, np.ones(len(force))])
-    _, size, directions = np.linalg.svd(np.linalg.qr(columns, mode="r"))
-    size = np.concatenate([size, np.zeros(4 - len(size))])
-    if size[-1] > 1e-3 * max(size[0], 1e-300):
+    hidden = hidden_axes(force)
+    if not hidden:
         return
-    null = directions[size <= 1e-3 * max(size[0], 1e-300)]
-    axes = [axis for axis, part in zip("xyz", np.abs(null).max(axis=0), strict=False) if part > 1e-3]
+    axes = [axis for axis in hidden if axis != "0"]
     lost = [f"K{i}{axis}" for i in "xyz" for axis in axes]
     raise CalibrationError(
         f"{len(force)} readings do not determine {', '.join(lost) or 'the biases'}: the acceleration along "
@@ -51,10 +54,9 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     sentences = [_absent(problem, columns, block, gain, unit, name) for name in assumed]
     sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
-        "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it",
+        GAIN,
         f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and nothing shows it",
-        "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
-        "whatever is computed from them in m/s^2",
+        GRAVITY,
     ]
     return tuple(sentences)
 
@@ -78,11 +80,11 @@ def _absent(problem: Problem, columns: Columns, block: Block, gain: Floats, unit
         shifts = [columns.of(f"{SYMBOLS[name]}[{mount}]")[: oriented.shape[1]] * ARCSEC for mount in own]
         change = max((oriented @ shift for shift in shifts), key=lambda one: float(np.max(np.abs(one))))
         largest = float(np.max(np.abs(change)))
-        told = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
-        if told:
+        changed = [j for j in np.argsort(-np.abs(change)) if abs(change[j]) > max(MATTERS * largest, 1e-15)]
+        if changed:
             where = f"one of the {len(own)} mountings" if len(own) > 1 else ""
             where = f"{where} in installation {installation}".strip().removeprefix("in ")
-            what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in told[:3])
+            what = ", ".join(f"{_small(change[j], unit)}/g into {COEFFICIENTS[j]}" for j in changed[:3])
             parts.append(f"1 arcsec in {where} puts {what}")
     return (
         f"{name} ({SYMBOLS[name]}, the third mounting angle) is assumed zero and "
@@ -125,7 +127,7 @@ def _small(value: float, unit: str) -> str:
 
 def _together(names: list[str]) -> str:
     """Return stand angles in words; those of many mountings by their symbols."""
-    if len(names) <= MOST_TOLD:
+    if len(names) <= MOST_NAMED:
         return ", ".join(names)
     symbols = dict.fromkeys(name.partition("[")[0] for name in names)
     mountings = dict.fromkeys(name.partition("[")[2] for name in names)
@@ -139,7 +141,7 @@ def _undetermined(found: Observability, unit: str) -> list[str]:
     if turns:
         taking_part = {member for d in turns for member in d.others}
         names = _together([name for name in found.names if name in taking_part])
-        axes = ", ".join(told_axis(d.axis) for d in turns)
+        axes = ", ".join(axis_in_words(d.axis) for d in turns)
         sentences.append(
             f"{names}: in some combination a common turn of the block's axes (about {axes}), which no "
             "reading shows; only the limits of the bench file hold it"

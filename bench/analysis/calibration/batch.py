@@ -17,8 +17,8 @@ from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.noise import LEAST_REPEATS, noise_sizes, repeat_groups
 from bench.analysis.calibration.result import CalibrationError, Noise
-from bench.base.arrays import Floats, Ints
-from bench.model.block import Block
+from bench.base.arrays import Floats, Ints, unit_vectors
+from bench.model.block import Block, linear_columns
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel
 from bench.model.geometry import specific_force_on_platform
@@ -146,7 +146,7 @@ class _Shared:
 def _calibrate(
     shared: _Shared, signals: Floats, noise: Noise | None, resolution: float
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    columns = np.column_stack([shared.force, np.ones(len(shared.force))])
+    columns = linear_columns(shared.force)
     start = np.einsum("pn,uni->uip", np.linalg.pinv(columns), signals)
     K, U0 = start[:, :, :3], start[:, :, 3]
     _refuse_singular(K)
@@ -168,8 +168,7 @@ def _calibrate(
 
 def _refuse_singular(K: Floats) -> None:
     """Refuse the unit with the most singular K, if it is one that a fit to it alone refuses."""
-    length = np.linalg.norm(K, axis=2, keepdims=True)
-    size = np.linalg.svd(K / np.where(length > 0, length, 1.0), compute_uv=False)[:, -1]
+    size = np.linalg.svd(unit_vectors(K)[0], compute_uv=False)[:, -1]
     mistakes.refuse_singular(Block(K[int(np.argmin(size))], np.zeros(3)))
 
 
@@ -190,9 +189,7 @@ def _sizes(
         return widening * given[0], widening * given[1]
     repeated = shared.freedom > 0
     deviation = left - (shared.means @ left)[:, shared.groups]
-    direction = shared.means @ slope
-    length = np.linalg.norm(direction, axis=2)
-    unit = direction / np.where(length > 0, length, 1.0)[:, :, None]
+    unit, length = unit_vectors(shared.means @ slope)
     along = np.einsum("uni,uni->un", deviation, unit[:, shared.groups]) ** 2
     total = np.einsum("uni,uni->un", deviation, deviation)
     by_group = (shared.means > 0).astype(np.float64).T

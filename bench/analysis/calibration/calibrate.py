@@ -3,37 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.calibration import gls, mistakes, outliers
-from bench.analysis.calibration.assumptions import assumptions, require_rank
+from bench.analysis.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, Estimator, Task, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.linear import linear_estimate
+from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
-from bench.base.arrays import ARCSEC, Floats
+from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
 """Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
-
-    oriented: Readings
-    free: Readings
-    oriented_rows: NDArray[np.int64]
-    free_rows: NDArray[np.int64]
 
 
 def calibrate(
@@ -75,8 +65,7 @@ def calibrate(
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows))
     covariance = fit.covariance[:FIXED, :FIXED]
-    mistakes.refuse_singular(fit.block, np.sqrt(np.diag(covariance)))
-    rms = float(np.sqrt(np.mean(fit.residuals**2))) if len(rows) else float("nan")
+    mistakes.refuse_singular(fit.block, u_of(covariance))
     return Calibration(
         estimator=by.name,
         unit=readings.unit,
@@ -84,7 +73,7 @@ def calibrate(
         block=fit.block,
         covariance=covariance,
         noise=fit.noise,
-        lack_of_fit=replace(fit_test, rms=rms),
+        lack_of_fit=replace(fit_test, rms=rms(fit.residuals)),
         fitted=rows,
         residuals=fit.residuals,
         skipped=len(readings.skipped),
@@ -175,16 +164,11 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
         mistakes.refuse_singular(block)
         return block
     columns = mistakes.force_columns(problem)
-    solution, *_ = np.linalg.lstsq(columns, signal, rcond=None)
-    still = [axis for axis, spread in zip("xyz", np.ptp(signal, axis=0), strict=True) if spread == 0]
-    if not still:
-        mistakes.refuse_wrong_angle_unit(problem, signal, signal - columns @ solution)
+    solution, left = least_squares(columns, signal)
+    if not mistakes.still_channels(signal):
+        mistakes.refuse_wrong_angle_unit(problem, signal, left)
     require_rank(columns[:, :3])
-    if still:
-        raise CalibrationError(
-            f"the signal of channel {', '.join(still)} is the same in every reading; "
-            "check its cable and the supply of the block"
-        )
+    mistakes.refuse_still(signal)
     mistakes.refuse_saturated(columns, signal, resolution)
     block = Block.from_vector(np.concatenate([solution[:3].T.ravel(), solution[3]]))
     mistakes.refuse_singular(block)
@@ -202,18 +186,14 @@ def _fitted(
     task = Task(problem, signal, fit, lambda shifts: refit(shifts=shifts))
     fit = by.weigh(task)
     if by.drops_outliers:
-        return fit, _told(fit, chosen), ()
+        return fit, outliers.listed(fit, chosen), ()
     # a note on one is enough, but free positions alone have too few rows to show one beside another
     most = outliers.most_outliers(problem) if problem.upper else 1
     notes = tuple(
         f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
-        for outlier in _told(outliers.search(problem, task.fit, task.refit, most), chosen)
+        for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
-
-
-def _told(fit: gls.Fit, chosen: Chosen) -> tuple[Outlier, ...]:
-    return outliers.told(fit, chosen.oriented, chosen.free, chosen.oriented_rows, chosen.free_rows)
 
 
 def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
@@ -223,34 +203,31 @@ def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[s
         "common rotation of the block's axes: no free position shows it; by convention K is upper triangular "
         "(axis z is that of channel z, axis y lies in the plane of channels y and z)",
         "sign of each channel: no free position shows it; every scale factor is given as positive",
-        "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it",
-        "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
-        "whatever is computed from them in m/s^2",
+        GAIN,
+        GRAVITY,
     )
 
 
 def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
-    u = np.sqrt(np.diag(fit.covariance))[FIXED:]
-    names = problem.names()
+    """Return the estimates of the stand's angles by name."""
+    found = _estimates(problem, fit)[: len(problem.stand)]
     return {
-        names[j]: Estimate(
-            float(fit.others[j]) / ARCSEC, float(u[j]) / ARCSEC, "arcsec", unknown.prior_u / ARCSEC
-        )
-        for j, unknown in enumerate(problem.stand)
+        name: Estimate(value / ARCSEC, u / ARCSEC, "arcsec", unknown.prior_u / ARCSEC)
+        for (name, value, u), unknown in zip(found, problem.stand, strict=True)
     }
 
 
 def _effects(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
-    u = np.sqrt(np.diag(fit.covariance))[FIXED:]
-    estimates = {}
-    for j, name in enumerate(problem.names()):
-        if j >= len(problem.stand):
-            unknown = problem.effects[j - len(problem.stand)]
-            effect = problem.model.effects[unknown.effect].effect
-            parameter = next(p for p in effect.parameters if p.name == unknown.parameter)
-            estimates[name] = Estimate(
-                float(fit.others[j]) / parameter.si_per_unit,
-                float(u[j]) / parameter.si_per_unit,
-                parameter.unit,
-            )
-    return estimates
+    """Return the estimates of the parameters of effects by name."""
+    found = _estimates(problem, fit)[len(problem.stand) :]
+    sizes = [problem.parameter(unknown) for unknown in problem.effects]
+    return {
+        name: Estimate(value / p.si_per_unit, u / p.si_per_unit, p.unit)
+        for (name, value, u), p in zip(found, sizes, strict=True)
+    }
+
+
+def _estimates(problem: Problem, fit: gls.Fit) -> list[tuple[str, float, float]]:
+    """Return name, value and u of the unknowns after the coefficients, SI."""
+    u = u_of(fit.covariance)[FIXED:]
+    return list(zip(problem.names(), fit.others.tolist(), u.tolist(), strict=True))

@@ -6,6 +6,7 @@ import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Ints
+from bench.model.geometry import within_half_turn
 from bench.readings.table import Readings
 
 POINTS = 9
@@ -64,15 +65,13 @@ def closed_form_gain(readings: Readings) -> Floats:
     unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)
     by_signal = np.stack([closed_form(e) for e in unit], axis=1).reshape(12, 2, 3, POINTS)
     by_cell = np.moveaxis(by_signal, 2, 3).reshape(12, 2 * POINTS, 3)
-    gain: Floats = by_cell[:, cell, :] / count[cell][None, :, None]
-    return gain
+    return by_cell[:, cell, :] / count[cell][None, :, None]
 
 
 def nominal_angles_rad(readings: Readings) -> Floats:
     """Return the angles (n,) that the closed form takes for granted. Raises as `closed_form_gain` does."""
     _cells(readings)
-    angles: Floats = NOMINAL_RAD[readings.point - 1]
-    return angles
+    return np.asarray(NOMINAL_RAD[readings.point - 1])
 
 
 def _cells(readings: Readings) -> tuple[Ints, Ints]:
@@ -97,7 +96,7 @@ def _cells(readings: Readings) -> tuple[Ints, Ints]:
             f"{', '.join(missing)}; measure them, or use the default estimator"
         )
     off = readings.angle_rad - NOMINAL_RAD[readings.point - 1]
-    off = np.abs(off - 2 * np.pi * np.round(off / (2 * np.pi)))  # 360° may be written as 0°
+    off = np.abs(within_half_turn(off))  # 360° may be written as 0°
     if np.any(off > FARTHEST_FROM_NOMINAL_RAD):
         worst = int(np.argmax(off))
         raise CalibrationError(

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.model.block import Block
 from bench.model.conditions import Conditions
-from bench.model.effects import AppliedEffect
+from bench.model.effects import AppliedEffect, Parameter
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
 
@@ -126,6 +125,11 @@ class Problem:
         named = zip(effects, shapes, strict=True)
         return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]
 
+    def parameter(self, unknown: EffectUnknown) -> Parameter:
+        """Return the parameter of an effect that an unknown is."""
+        parameters = self.model.effects[unknown.effect].effect.parameters
+        return next(p for p in parameters if p.name == unknown.parameter)
+
     def predict(self, block: Block, others: Floats, setting_rad: float = 0.0) -> Floats:
         """Return the readings (n, 3) that the model predicts for these values of the unknowns."""
         model = replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
@@ -206,14 +210,7 @@ class Problem:
     @cached_property
     def _many_conditions(self) -> Conditions:
         """The conditions once for each step of the differences, with mountings of their own."""
-        c, times = self.conditions, 3 + 2 * len(self._columns)
-        tiled: dict[str, Any] = {
-            f.name: np.concatenate([getattr(c, f.name)] * times)
-            for f in fields(c)
-            if f.name not in {"mounts", "mount", "turns"} and isinstance(getattr(c, f.name), np.ndarray)
-        }
-        mount = (np.arange(times)[:, None] * len(c.mounts) + c.mount).ravel()
-        return replace(c, mounts=c.mounts * times, mount=mount, **tiled)
+        return self.conditions.repeated(3 + 2 * len(self._columns))
 
     def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
         columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
@@ -247,10 +244,7 @@ def coefficient_columns(force: Floats) -> Floats:
 
 
 def make_problem(
-    model: ForwardModel,
-    conditions: Conditions,
-    stand_u: Mapping[str, float],
-    free: FreeRows | None = None,
+    model: ForwardModel, conditions: Conditions, stand_u: Mapping[str, float], free: FreeRows | None = None
 ) -> Problem:
     """Set up the unknowns: a stand angle is one where its size is not zero, an effect's sizes all are.
 

@@ -46,7 +46,7 @@ def _without_outliers(task: Task) -> gls.Fit:
 
 @dataclass(frozen=True)
 class Estimator:
-    """One way from readings to coefficients; `told` says it in a few words, `also` are further names.
+    """One way from readings to coefficients; `phrase` says it in a few words, `also` are further names.
 
     `gain` gives the map (12, n, 3) of one that weighs the readings in a fixed manner; it takes oriented
     readings alone. Without it `weigh` gives the fit. Its map in a budget is then the one at which it comes to
@@ -57,7 +57,7 @@ class Estimator:
     """
 
     name: str
-    told: str
+    phrase: str
     weigh: Callable[[Task], gls.Fit] = _as_it_is
     gain: Callable[[Problem, Readings], Floats] | None = None
     angles_rad: Callable[[Readings], Floats] | None = None
@@ -112,9 +112,9 @@ def in_a_budget(asked: str) -> Estimator:
     return ESTIMATORS[estimator.counts_as or estimator.name]
 
 
-def told_estimators(*, budget: bool = False) -> str:
+def estimators_in_words(*, budget: bool = False) -> str:
     """Return the names and what they are as a help text; `budget` adds what some count as in a budget."""
-    phrases = [f"{' or '.join((e.name, *e.also))} ({e.told})" for e in ESTIMATORS.values()]
+    phrases = [f"{' or '.join((e.name, *e.also))} ({e.phrase})" for e in ESTIMATORS.values()]
     text = f"{', '.join(phrases[:-1])}, or {phrases[-1]}"
     counted = [f"{e.name} counts as {e.counts_as}" for e in ESTIMATORS.values() if e.counts_as]
     return f"{text}; where nothing is an outlier, {', '.join(counted)}." if budget and counted else f"{text}."

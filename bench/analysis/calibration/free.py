@@ -12,7 +12,9 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem
+from bench.analysis.calibration.mistakes import refuse_still
 from bench.analysis.calibration.result import CalibrationError, Triangular
+from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import Floats
 from bench.model.block import Block
 
@@ -37,20 +39,19 @@ class Modulus:
     weight: Floats
 
 
+NO_MODULI: Final = Modulus(np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+
+
 def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
     """Return the rows of the problem's free readings about a point."""
     if problem.free is None:
         return Modulus(np.zeros(0), np.zeros((0, FIXED + len(others))), np.zeros(0))
-    force, inverse = _force(problem, problem.free, block, others), np.linalg.inv(block.K)
-    size = np.linalg.norm(force, axis=1)
-    by_signal = (force / size[:, None]) @ inverse
+    force = _force(problem, problem.free, block, others)
     columns = np.zeros((len(force), FIXED + len(others)))
+    columns[:, :FIXED], by_signal = modulus_slopes(force, block)
     if problem.model.effects:
         _differences(problem, block, others, columns)
-    else:
-        columns[:, :9] = -(by_signal[:, :, None] * force[:, None, :]).reshape(-1, 9)
-        columns[:, 9:FIXED] = -by_signal
-    return Modulus(1.0 - size, columns, np.linalg.norm(by_signal, axis=1))
+    return Modulus(1.0 - np.linalg.norm(force, axis=1), columns, np.linalg.norm(by_signal, axis=1))
 
 
 def _differences(problem: Problem, block: Block, others: Floats, columns: Floats) -> None:
@@ -111,21 +112,16 @@ def first_guess_free(signal: Floats) -> Block:
         )
     middle = (signal.max(axis=0) + signal.min(axis=0)) / 2
     size = np.ptp(signal, axis=0) / 2
-    still = [axis for axis, s in zip("xyz", size, strict=True) if s == 0]
-    if still:
-        raise CalibrationError(
-            f"the signal of channel {', '.join(still)} is the same in every reading; "
-            "check its cable and the supply of the block"
-        )
+    refuse_still(signal)
     x, y, z = ((signal - middle) / size).T
     columns = np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, x, y, z])
     _, found, directions = np.linalg.svd(columns, full_matrices=False)
     if found[-1] < LEAST_PART * found[0]:
         part = np.abs(directions[-1])
-        told = [name for name, p in zip(PRODUCTS, part, strict=True) if p > 0.3 * part.max()]
+        untold = [name for name, p in zip(PRODUCTS, part, strict=True) if p > 0.3 * part.max()]
         raise CalibrationError(
             f"{len(signal)} free positions do not determine the nine coefficients: they hardly tell "
-            f"{', '.join(told)} of the ellipsoid of signals; add positions with two and three axes "
+            f"{', '.join(untold)} of the ellipsoid of signals; add positions with two and three axes "
             "inclined, up and down"
         )
     q, *_ = np.linalg.lstsq(columns, np.ones(len(signal)), rcond=None)

@@ -9,14 +9,13 @@ covariance is that of generalised least squares).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
-from bench.analysis.calibration.design import FIXED, Problem
-from bench.analysis.calibration.free import Modulus, modulus_rows
+from bench.analysis.calibration.design import FIXED, FreeRows, Problem
+from bench.analysis.calibration.free import NO_MODULI, Modulus, modulus_rows
 from bench.analysis.calibration.noise import (
     LEAST_REPEATS,
     RepeatedNoise,
@@ -27,7 +26,7 @@ from bench.analysis.calibration.noise import (
     whiten,
 )
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, rms
 from bench.model.block import Block
 
 MOST_ITERATIONS: Final = 20
@@ -101,7 +100,7 @@ def fit(
     fit does not come to rest.
     """
     block, others = start, problem.prior_mean
-    floor = noise_floor(problem, signal, resolution)
+    floor = noise_floor(signal, resolution, problem.free)
     groups = _groups_without(problem, shifts)
     places = _places(problem, len(shifts), len(others))
     moved, repeats = np.inf, RepeatedNoise(floor, groups)
@@ -111,11 +110,9 @@ def fit(
             sizes = noise
         elif moved > NEARLY_STILL:
             sizes = repeats.sizes(system.left, system.slope) or estimate_noise(
-                problem, system.left, system.jacobian, system.slope, groups, others, floor, system.free
+                problem, system, groups, others, floor
             )
-        found, covariance, gain = solve(
-            problem, system.jacobian, system.left, system.slope, sizes.widened(), others, system.free
-        )
+        found, covariance, gain = solve(problem, system, sizes.widened(), others)
         step = np.zeros(FIXED + len(others))
         step[places.unknowns] = found[places.own]
         block = Block.from_vector(block.vector + step[:FIXED])
@@ -137,13 +134,14 @@ def fit(
 class System:
     """The linear system of one step: unknowns are the active coefficients, the shifts, then the others.
 
-    `left` (n, 3) measured minus predicted; `jacobian` (n, 3, p); `slope` (n, 3); `free` the rows of moduli.
+    `left` (n, 3) measured minus predicted; `jacobian` (n, 3, p) has the unknowns with a prior last; `slope`
+    (n, 3); `free` the rows of moduli.
     """
 
     left: Floats
     jacobian: Floats
     slope: Floats
-    free: Modulus
+    free: Modulus = NO_MODULI
 
 
 def linearise(
@@ -187,11 +185,11 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
     return _Places(unknowns, own, np.arange(active, active + shifts))
 
 
-def noise_floor(problem: Problem, signal: Floats, resolution: float) -> float:
-    """Return the least noise that is believed, in the unit of the signal."""
+def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None) -> float:
+    """Return the least noise that is believed for signals (n, 3) given to `resolution`, in their unit."""
     largest = float(np.max(np.abs(signal), initial=0.0))
-    if problem.free is not None:
-        largest = max(largest, float(np.max(np.abs(problem.free.signal), initial=0.0)))
+    if free is not None:
+        largest = max(largest, float(np.max(np.abs(free.signal), initial=0.0)))
     return float(max(LEAST_NOISE * largest, resolution / np.sqrt(12.0)))
 
 
@@ -238,45 +236,19 @@ def _result(
     )  # fmt: skip
 
 
-class Priors(Protocol):
-    """What is known of the unknowns after the coefficients before the data: means and standard deviations."""
-
-    @property
-    def prior_mean(self) -> Floats:
-        """Means, shape (q,)."""
-        ...
-
-    @property
-    def prior_u(self) -> Floats:
-        """Standard deviations, shape (q,)."""
-        ...
-
-
-def estimate_noise(
-    problem: Priors,
-    left: Floats,
-    jacobian: Floats,
-    slope: Floats,
-    groups: NDArray[np.int64],
-    others: Floats,
-    floor: float,
-    free: Modulus | None = None,
-) -> Noise:
-    """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals.
-
-    `left` (n, 3) is measured minus predicted, `jacobian` (n, 3, p) has the unknowns with a prior last; `free`
-    are rows of moduli, if any.
-    """
+def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
+    """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals."""
+    left, slope, free = system.left, system.slope, system.free
     if len(left):
         scatter = scatter_of_repeats(left, slope, groups)
         if scatter.settings >= LEAST_REPEATS:
             return noise_from_repeats(scatter, floor)
     # the likelihood has the random effects about their prior means, so their estimates are not taken off
-    fixed = jacobian.shape[2] - len(others)
-    whole = left + jacobian[:, :, fixed:] @ (others - problem.prior_mean)
-    scaled = jacobian.copy()
+    fixed = system.jacobian.shape[2] - len(others)
+    whole = left + system.jacobian[:, :, fixed:] @ (others - problem.prior_mean)
+    scaled = system.jacobian.copy()
     scaled[:, :, fixed:] *= problem.prior_u
-    if free is None or not len(free.left):
+    if not len(free.left):
         return noise_from_residuals(whole, scaled, slope, fixed, floor)
     own = np.column_stack(
         [free.jacobian, free.left + free.jacobian[:, fixed:] @ (others - problem.prior_mean)]
@@ -285,50 +257,38 @@ def estimate_noise(
     return noise_from_residuals(whole, scaled, slope, fixed, floor, own / free.weight[:, None])
 
 
-def solve(
-    problem: Priors,
-    jacobian: Floats,
-    left: Floats,
-    slope: Floats,
-    noise: Noise,
-    others: Floats,
-    free: Modulus | None = None,
-) -> tuple[Floats, Floats, Floats]:
+def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> tuple[Floats, Floats, Floats]:
     """One step: the change of the unknowns, their covariance, and the gain from readings to unknowns."""
-    n, _, p = jacobian.shape
-    rows, target, scale = whitened_rows(problem, jacobian, left, slope, noise, others, free)
+    n, _, p = system.jacobian.shape
+    rows, target, scale = whitened_rows(problem, system, noise, others)
     q, r = np.linalg.qr(rows)
     inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
     covariance = inverse @ inverse.T
     step = inverse @ (q.T @ target)
     # R^(-1/2) is symmetric, so the gain from raw readings is the whitened gain, whitened once more
     whitened_gain = (inverse @ q[: 3 * n].T).reshape(p, n, 3)
-    gain = np.moveaxis(whiten(np.moveaxis(whitened_gain, 0, 2), slope, noise), 2, 0)
+    gain = np.moveaxis(whiten(np.moveaxis(whitened_gain, 0, 2), system.slope, noise), 2, 0)
     return step, covariance, gain
 
 
 def whitened_rows(
-    problem: Priors,
-    jacobian: Floats,
-    left: Floats,
-    slope: Floats,
-    noise: Noise,
-    others: Floats,
-    free: Modulus | None = None,
+    problem: Problem, system: System, noise: Noise, others: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return rows (3n + m + q, p), target and scale (p,) of a step: signals, moduli, priors, each of unit noise.
 
     Column j is that of unknown j over its scale.
     """
-    n, _, p = jacobian.shape
+    n, _, p = system.jacobian.shape
+    free = system.free
     prior_u, prior_mean = problem.prior_u, problem.prior_mean
     fixed = p - len(prior_u)
     scale = np.concatenate([np.ones(fixed), prior_u])
     prior_rows = np.zeros((p - fixed, p))
     prior_rows[:, fixed:] = np.eye(p - fixed)
-    both = whiten(np.concatenate([jacobian, left[:, :, None]], axis=2), slope, noise).reshape(3 * n, p + 1)
+    columns = np.concatenate([system.jacobian, system.left[:, :, None]], axis=2)
+    both = whiten(columns, system.slope, noise).reshape(3 * n, p + 1)
     blocks, targets = [both[:, :p] * scale], [both[:, p]]
-    if free is not None and len(free.left):
+    if len(free.left):
         size = noise.reading * free.weight
         blocks.append(free.jacobian * scale / size[:, None])
         targets.append(free.left / size)
@@ -347,25 +307,25 @@ def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
 
 
 def misfit_test(
-    misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: NDArray[np.int64], unknowns: int
+    misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
     """Judge the chi-square that a fit leaves; `unknowns` counts those without a prior of their own.
 
     `residuals`, `slope` (n, 3) and `groups` (n,) of repeats as in `scatter_of_repeats`.
     """
-    rms = float(np.sqrt(np.mean(residuals**2))) if residuals.size else float("nan")
+    size = rms(residuals)
     dof = residuals.size - unknowns
     if np.isinf(noise.dof):
-        return LackOfFit(rms, misfit, dof, float(special.chdtrc(dof, misfit)))
+        return LackOfFit(size, misfit, dof, float(special.chdtrc(dof, misfit)))
     if not residuals.size:
-        return LackOfFit(rms, float("nan"), max(dof, 0), float("nan"))
+        return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
     scatter = scatter_of_repeats(residuals, slope, groups)
     dof -= 3 * scatter.settings
     if noise.source != "repeats" or dof <= 0:
-        return LackOfFit(rms, float("nan"), max(dof, 0), float("nan"))
+        return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
     variance = noise.reading**2
     along = variance + (noise.setting_rad * scatter.slope) ** 2
     pure_error = float(np.sum(scatter.across) / variance + np.sum(scatter.along / along))
     chi2 = max(misfit - pure_error, 0.0)
     # the scatter over its own freedom is 1 by construction: the noise was estimated from it
-    return LackOfFit(rms, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))
+    return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))

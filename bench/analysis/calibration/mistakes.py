@@ -10,13 +10,11 @@ import numpy as np
 from bench.analysis.calibration.closed_form import NOMINAL_RAD, POINTS
 from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats, Mask
-from bench.model.block import Block
-from bench.model.geometry import STAND_ANGLES
+from bench.base.arrays import Floats, Mask, least_squares, rms
+from bench.model.block import Block, linear_columns
+from bench.model.geometry import STAND_ANGLES, within_half_turn
+from bench.readings.csv import OVERLOAD
 from bench.readings.table import Readings
-
-OVERLOAD: Final = 9.0e37
-"""What a voltmeter replies where its range is too small."""
 
 OTHER_UNITS: Final = {"radians": 180.0 / np.pi, "gon": 0.9, "whole turns": 360.0}
 BADLY: Final = 1e-3
@@ -81,16 +79,30 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
 def _left(problem: Problem, signal: Floats, factor: float) -> float:
     """Sum of squares that ordinary least squares leave at the angles times a factor."""
     turned = replace(problem.conditions, angle_rad=problem.conditions.angle_rad * factor)
-    columns = force_columns(replace(problem, conditions=turned))
-    solution, *_ = np.linalg.lstsq(columns, signal, rcond=None)
-    return float(np.sum((signal - columns @ solution) ** 2))
+    _, left = least_squares(force_columns(replace(problem, conditions=turned)), signal)
+    return float(np.sum(left**2))
 
 
 def force_columns(problem: Problem) -> Floats:
     """Return the specific force at the nominal stand, and ones, shape (n, 4)."""
     still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
     force = problem.model.specific_force(problem.conditions, still, Block(np.eye(3), np.zeros(3)))
-    return np.column_stack([force, np.ones(len(force))])
+    return linear_columns(force)
+
+
+def still_channels(signal: Floats) -> list[str]:
+    """Return the channels whose signal (n, 3) is the same in every reading."""
+    return [axis for axis, spread in zip("xyz", np.ptp(signal, axis=0), strict=True) if spread == 0]
+
+
+def refuse_still(signal: Floats) -> None:
+    """Refuse a channel whose signal is the same in every reading."""
+    still = still_channels(signal)
+    if still:
+        raise CalibrationError(
+            f"the signal of channel {', '.join(still)} is the same in every reading; "
+            "check its cable and the supply of the block"
+        )
 
 
 def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None:
@@ -112,17 +124,15 @@ def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None
             if _equal_where_forces_differ(columns, signal[:, i], sides):
                 _raise_saturated(axis, int(at_end.sum()), signal[at_end, i])
             continue
-        solution, *_ = np.linalg.lstsq(rest, signal[~at_end, i], rcond=None)
-        rms = float(np.sqrt(np.mean((signal[~at_end, i] - rest @ solution) ** 2)))
+        solution, left = least_squares(rest, signal[~at_end, i])
         beyond = (columns[at_end] @ solution - signal[at_end, i]) * sides[at_end]
-        if np.median(beyond) > max(10 * rms, 10 * resolution, LEAST_CLIPPED * np.ptp(signal[:, i])):
+        if np.median(beyond) > max(10 * rms(left), 10 * resolution, LEAST_CLIPPED * np.ptp(signal[:, i])):
             _raise_saturated(axis, int(at_end.sum()), signal[at_end, i])
 
 
 def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -> bool:
     """Whether readings at one end are equal although the fit to all has them far apart."""
-    solution, *_ = np.linalg.lstsq(columns, signal, rcond=None)
-    expected = columns @ solution
+    expected = columns @ least_squares(columns, signal)[0]
     return any(
         np.ptp(expected[sides == side]) > FAR_APART * np.ptp(expected)
         for side in (1.0, -1.0)
@@ -187,8 +197,7 @@ def at_nominal_angles(rows: Readings) -> Readings:
     of_paper = np.isin(rows.installation, ["1", "2"]) & (rows.point >= 1) & (rows.point <= POINTS)
     papers = NOMINAL_RAD[np.clip(rows.point, 1, POINTS) - 1]
     off = rows.angle_rad - papers
-    off = np.abs(off - 2 * np.pi * np.round(off / (2 * np.pi)))
-    usable = missing & of_paper & (off <= FARTHEST_NOMINAL_RAD)
+    usable = missing & of_paper & (np.abs(within_half_turn(off)) <= FARTHEST_NOMINAL_RAD)
     nominal[usable] = papers[usable]
     if np.any(missing & ~usable):
         raise CalibrationError(

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from bench.analysis.calibration.result import Noise
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, least_squares, unit_vectors
 from bench.model.conditions import Conditions
 
 LEAST_REPEATS: Final = 12
@@ -55,8 +55,7 @@ def repeat_groups(conditions: Conditions) -> Ints:
     """Return a group number per reading, shape (n,): same mounting, point and direction of approach."""
     points = int(conditions.point.max(initial=0)) + 1
     key = (conditions.mount * points + conditions.point) * 3 + conditions.direction
-    groups: Ints = np.unique(key, return_inverse=True)[1]
-    return groups
+    return np.asarray(np.unique(key, return_inverse=True)[1])
 
 
 def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatter:
@@ -66,9 +65,7 @@ def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatte
     """
     count = np.bincount(groups)
     mean = _group_sum(residuals, groups) / count[:, None]
-    direction = _group_sum(slope, groups) / count[:, None]
-    length = np.linalg.norm(direction, axis=1)
-    unit = direction / np.where(length > 0, length, 1.0)[:, None]
+    unit, length = unit_vectors(_group_sum(slope, groups) / count[:, None])
     deviation = residuals - mean[groups]
     along = np.einsum("ni,ni->n", deviation, unit[groups]) ** 2
     total = np.einsum("ni,ni->n", deviation, deviation)
@@ -232,12 +229,7 @@ MOST_PART: Final = 10.0
 
 
 def noise_from_residuals(
-    response: Floats,
-    design: Floats,
-    slope: Floats,
-    fixed: int,
-    floor: float,
-    free: Floats | None = None,
+    response: Floats, design: Floats, slope: Floats, fixed: int, floor: float, free: Floats | None = None
 ) -> Noise:
     """Restricted maximum likelihood of the two noise sizes from what the model leaves.
 
@@ -250,8 +242,7 @@ def noise_from_residuals(
     if n == 0:
         return _noise_from_free(further, floor)
     count = 3 * n + len(further)
-    length = np.linalg.norm(slope, axis=1)
-    unit = slope / np.where(length > 0, length, 1.0)[:, None]
+    unit, length = unit_vectors(slope)
     columns = np.concatenate([design, response[:, :, None]], axis=2)
     gram = np.einsum("nip,niq->pq", columns, columns) + further.T @ further
     along = np.einsum("nip,ni->np", columns, unit)
@@ -283,8 +274,7 @@ def noise_from_residuals(
         return float(value), 2 * np.array([by_reading, by_setting])
 
     whole = np.vstack([columns.reshape(3 * n, p + 1), further])
-    solution, *_ = np.linalg.lstsq(whole[:, :p], whole[:, p], rcond=None)
-    left = whole[:, p] - whole[:, :p] @ solution
+    _, left = least_squares(whole[:, :p], whole[:, p])
     freedom = max(count - p, 1)
     guess = max(float(np.sqrt(left @ left / freedom)), floor)
     steepness = max(float(np.sqrt(np.mean(length**2))), 1e-300)
@@ -300,17 +290,14 @@ def noise_from_residuals(
 
 def _noise_from_free(rows: Floats, floor: float) -> Noise:
     """Noise of free positions alone: what is left over the degrees of freedom, no setting being known."""
-    solution, *_ = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)
-    left = rows[:, -1] - rows[:, :-1] @ solution
+    _, left = least_squares(rows[:, :-1], rows[:, -1])
     freedom = max(len(rows) - rows.shape[1] + 1, 1)
     return Noise(max(float(np.sqrt(left @ left / freedom)), floor), 0.0, float(freedom), "residuals")
 
 
 def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     """Return R^(-1/2) times columns (n, 3, p), R = sigma_u^2 I + sigma_phi^2 d d^T of each reading."""
-    length = np.linalg.norm(slope, axis=1)
-    unit = slope / np.where(length > 0, length, 1.0)[:, None]
+    unit, length = unit_vectors(slope)
     shrink = 1.0 - noise.reading / np.hypot(noise.reading, noise.setting_rad * length)
     along = np.einsum("nip,ni->np", columns, unit) * shrink[:, None]
-    result: Floats = (columns - unit[:, :, None] * along[:, None, :]) / noise.reading
-    return result
+    return np.asarray((columns - unit[:, :, None] * along[:, None, :]) / noise.reading)

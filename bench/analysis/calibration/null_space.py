@@ -17,7 +17,7 @@ MEMBER: Final = 0.02
 """An unknown belongs to a direction when it is more than this part of the largest in it."""
 _IN_SPAN: Final = 1e-3
 _NOTHING: Final = 1e-6
-_MOST_TOLD: Final = 4
+_MOST_NAMED: Final = 4
 
 
 class DirectionKind(StrEnum):
@@ -61,13 +61,13 @@ class Direction:
     def text(self, unit: str = "V") -> str:
         """Say it in words; `unit` is that of the signals."""
         if self.kind is DirectionKind.TURN and not self.others:
-            return f"{self.kind} about {told_axis(self.axis)}: {self._changed(unit)}"
+            return f"{self.kind} about {axis_in_words(self.axis)}: {self._changed(unit)}"
         if self.kind is DirectionKind.UNSEEN or not self.others:
             return f"{', '.join(self.others or self.coefficients)}: {self.kind}"
         if self.kind is DirectionKind.ALIKE:
             return f"{self._shown()}; {self.kind}"
         if self.kind is DirectionKind.TURN:
-            return f"{self.kind} about {told_axis(self.axis)} ({self._shown()}): {self._changed(unit)}"
+            return f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
         return f"{self._together()}: {self.kind}: {self._changed(unit)}"
 
     def _shown(self) -> str:
@@ -81,21 +81,21 @@ class Direction:
         if len(names) == 1:
             return names[0]
         ratios = ", ".join(
-            f"{self.members[name] / self.members[names[0]]:.2g}" for name in names[:_MOST_TOLD]
+            f"{self.members[name] / self.members[names[0]]:.2g}" for name in names[:_MOST_NAMED]
         )
-        more = f" and {len(names) - _MOST_TOLD} more" if len(names) > _MOST_TOLD else ""
-        return f"{', '.join(names[:_MOST_TOLD])} as ({ratios}){more}"
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        return f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}"
 
     def _changed(self, unit: str) -> str:
         """The coefficients that change, for an arcsecond where an angle leads."""
         angle = self.kind is DirectionKind.TURN or self.others[0].startswith(("alpha", "mounting"))
         size, per = (ARCSEC, "1 arcsec") if angle else (1.0, f"1 of {self.others[0]} (SI)")
-        micro, told_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
-        told = (
-            f"{self.members[name] * size * micro:+.3g} {told_unit}{'' if name[0] == 'U' else '/g'} in {name}"
-            for name in self.coefficients[:_MOST_TOLD]
+        micro, shown_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
+        changes = (
+            f"{self.members[name] * size * micro:+.3g} {shown_unit}{'' if name[0] == 'U' else '/g'} in {name}"
+            for name in self.coefficients[:_MOST_NAMED]
         )
-        return f"{per} is {', '.join(told)}"
+        return f"{per} is {', '.join(changes)}"
 
 
 def directions_of(
@@ -126,10 +126,10 @@ class _Directions:
             found = [Direction(DirectionKind.UNSEEN, {name: size}) for name, size in members.items()]
             self._take_out(np.eye(len(self._names))[:, unseen])
         alike = self._null @ _null_space(self._null[self._fixed])
-        found += [self._told(DirectionKind.ALIKE, vector) for vector in self._sparse(alike)]
+        found += [self._direction(DirectionKind.ALIKE, vector) for vector in self._sparse(alike)]
         self._take_out(alike)
         found += self._take_turns()
-        found += [self._told(DirectionKind.MIXED, vector) for vector in self._sparse(self._null)]
+        found += [self._direction(DirectionKind.MIXED, vector) for vector in self._sparse(self._null)]
         return tuple(found)
 
     def _take_turns(self) -> list[Direction]:
@@ -142,8 +142,8 @@ class _Directions:
         vectors = self._null @ np.linalg.lstsq(part, self._turns @ axes, rcond=None)[0]
         found = []
         for axis, vector in zip(axes.T, vectors.T, strict=True):
-            told = self._told(DirectionKind.TURN, vector)
-            found.append(replace(told, axis=(float(axis[0]), float(axis[1]), float(axis[2]))))
+            turn = self._direction(DirectionKind.TURN, vector)
+            found.append(replace(turn, axis=(float(axis[0]), float(axis[1]), float(axis[2]))))
         self._take_out(vectors)
         return found
 
@@ -168,7 +168,7 @@ class _Directions:
             free[row] = False
         return list(vectors.T)
 
-    def _told(self, kind: DirectionKind, vector: Floats) -> Direction:
+    def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
         """Name the members: stand angles first, then effects, then coefficients, each the largest first."""
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
@@ -218,7 +218,7 @@ def _plain_basis(axes: Floats) -> Floats:
     return np.hstack([plain, rest])
 
 
-def told_axis(axis: tuple[float, float, float] | None) -> str:
+def axis_in_words(axis: tuple[float, float, float] | None) -> str:
     """Return an axis in words: "y", or "0.71 y - 0.71 z"."""
     parts = [(a, name) for a, name in zip(axis or (), "xyz", strict=False) if abs(a) > MEMBER]
     if len(parts) == 1:

@@ -11,6 +11,7 @@ deviate), with the residuals of a regression.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,7 +21,7 @@ from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.gls import MODULUS, SETTING, Fit, Shift, whitened_rows
 from bench.analysis.calibration.noise import whiten
 from bench.analysis.calibration.result import Outlier
-from bench.base.arrays import ARCSEC, Floats, Ints
+from bench.base.arrays import ARCSEC, Floats, Ints, unit_vectors
 from bench.readings.table import Readings
 
 LEVEL: Final = 0.01
@@ -33,6 +34,16 @@ PLAINER: Final = 1.05
 """A setting has to explain so much more than one of the three signals that it moves."""
 LEAST_PART: Final = 1e-6
 """A candidate is none where the fit takes up all but this part of it."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
+
+    oriented: Readings
+    free: Readings
+    oriented_rows: Ints
+    free_rows: Ints
 
 
 def most_outliers(problem: Problem) -> int:
@@ -75,19 +86,11 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     """Return the candidate with the largest studentised residual, and its size."""
     system, n = fit.system, len(problem.conditions)
     # the priors' rows take part in the fit, and so in what it leaves
-    rows, target, _ = whitened_rows(
-        problem, system.jacobian, system.left, system.slope, fit.noise, fit.others, system.free
-    )
+    rows, target, _ = whitened_rows(problem, system, fit.noise, fit.others)
     q, _ = np.linalg.qr(rows)
     left = target - q @ (q.T @ target)
-    length = np.linalg.norm(system.slope, axis=1, keepdims=True)
-    ways = np.concatenate(
-        [
-            np.broadcast_to(np.eye(3), (n, 3, 3)),
-            (system.slope / np.where(length > 0, length, 1.0))[:, :, None],
-        ],
-        axis=2,
-    )
+    by_setting = unit_vectors(system.slope)[0][:, :, None]
+    ways = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), by_setting], axis=2)
     ways = whiten(ways, system.slope, fit.noise) if n else ways
     taken = np.einsum("nip,nij->npj", q[: 3 * n].reshape(n, 3, q.shape[1]), ways)
     own = np.einsum("nij,nij->nj", ways, ways)
@@ -106,13 +109,13 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     return Shift(worst // 4, (0, 1, 2, SETTING)[worst % 4]), size
 
 
-def told(
-    fit: Fit, oriented: Readings, free: Readings, oriented_rows: Ints, free_rows: Ints
-) -> tuple[Outlier, ...]:
-    """Return the shifts of a fit as outliers, with their places in the table; `*_rows` count them from 0."""
+def listed(fit: Fit, chosen: Chosen) -> tuple[Outlier, ...]:
+    """Return the shifts of a fit as outliers, with their places in the table."""
     found = []
     for shift, size, u in zip(fit.shifts, fit.shift, fit.u_shift, strict=True):
-        table, rows = (free, free_rows) if shift.channel == MODULUS else (oriented, oriented_rows)
+        free = shift.channel == MODULUS
+        table = chosen.free if free else chosen.oriented
+        rows = chosen.free_rows if free else chosen.oriented_rows
         channel, unit, per = _CHANNELS.get(shift.channel, ("", table.unit, 1.0))
         found.append(
             Outlier(
@@ -123,7 +126,7 @@ def told(
                 point=int(table.point[shift.row]),
                 channel=channel or "xyz"[shift.channel],
                 # the row of a modulus is 1 - |a|: what is too large there is too small in |a|
-                size=float(-size if shift.channel == MODULUS else size / per),
+                size=float(-size if free else size / per),
                 unit=unit,
                 sigma=float(abs(size) / u),
             )

@@ -23,17 +23,17 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
     sentences = []
     for i, (axis, announced) in enumerate(zip("xyz", nominal, strict=True)):
         found = float(result.block.K[i, i])
-        row = np.abs(result.block.K[i])
-        told = (
+        most = "xyz"[int(np.argmax(np.abs(result.block.K[i])))]
+        sentence = (
             f"channel {axis}: scale factor {found:.4g} V/g, but the bench file announces {announced:.4g} V/g"
         )
-        if int(np.argmax(row)) != i:
-            told += f"; it answers most to {'xyz'[int(np.argmax(row))]}: are two channels or installations swapped?"
+        if most != axis:
+            sentence += f"; it answers most to {most}: are two channels or installations swapped?"
         elif found * announced < 0 and result.triangular is None:
-            told += "; is the pair of wires reversed?"
+            sentence += "; is the pair of wires reversed?"
         elif abs(abs(found / announced) - 1) <= FARTHEST:
             continue
         else:
-            told += "; is it the block that the bench file names?"
-        sentences.append(told)
+            sentence += "; is it the block that the bench file names?"
+        sentences.append(sentence)
     return tuple(sentences)

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, Floats
+from bench.base.arrays import ARCSEC, Floats, HasCovariance, rms
+from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
 
@@ -154,8 +155,14 @@ class Triangular:
         }
 
 
+def values_with_u(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
+    """Return the first of the twelve coefficients (m,) by name, each with its standard uncertainty."""
+    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
+    return {name: {"value": value, "u": u} for name, value, u in rows}
+
+
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(HasCovariance):
     """The twelve coefficients and what belongs to them.
 
     `covariance` (12, 12) in the order of `COEFFICIENTS`; K in unit/g with g = `g_m_s2`, biases in unit.
@@ -203,21 +210,11 @@ class Calibration:
         if self.free is None:
             return float("nan")
         out = {(o.series, o.installation, o.pass_number, o.point) for o in self.outliers}
-        places = zip(
-            self.free.series.tolist(),
-            self.free.installation.tolist(),
-            self.free.pass_number.tolist(),
-            self.free.point.tolist(),
-            strict=True,
-        )
+        of = self.free
+        columns = (of.series, of.installation, of.pass_number, of.point)
+        places = zip(*(column.tolist() for column in columns), strict=True)
         kept = np.array([place not in out for place in places])
-        return float(np.sqrt(np.mean(self.modulus_error[kept] ** 2)))
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties of the twelve coefficients, shape (12,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
+        return rms(self.modulus_error[kept])
 
     def to_json(self) -> dict[str, Any]:
         """Return the promised result (standard uncertainties; NaN becomes null)."""
@@ -227,10 +224,7 @@ class Calibration:
             "unit": self.unit,
             "g_m_s2": self.g_m_s2,
             "per": "g",
-            "coefficients": {
-                name: {"value": float(value), "u": float(u)}
-                for name, value, u in zip(COEFFICIENTS, self.block.vector, self.u, strict=True)
-            },
+            "coefficients": values_with_u(self.block.vector, self.u),
             "coefficients_per_ms2": self._per_ms2(),
             "order": list(COEFFICIENTS),
             "covariance": self.covariance.tolist(),
@@ -238,16 +232,14 @@ class Calibration:
             "effects": {name: estimate.to_json() for name, estimate in self.effects.items()},
             "not_observable": list(self.assumed),
             "residual": {
-                "rms": _number(fit.rms),
-                "chi2": _number(fit.chi2),
+                **{name: finite_or_none(number) for name, number in asdict(fit).items()},
                 "dof": fit.dof,
-                "p": _number(fit.p),
             },
             "noise": {
                 "reading_v": self.noise.reading,
                 "setting_arcsec": self.noise.setting_rad / ARCSEC,
                 "setting_limits_arcsec": self._setting_limits_arcsec(),
-                "dof": _number(self.noise.dof),
+                "dof": finite_or_none(self.noise.dof),
                 "source": self.noise.source,
             },
             "readings": {"used": self.used, "skipped": self.skipped},
@@ -260,14 +252,8 @@ class Calibration:
 
     def _per_ms2(self) -> dict[str, Any]:
         """K in unit/(m/s^2), from K per g by the g that is stated, whose own uncertainty is not in u."""
-        g, order = self.g_m_s2, COEFFICIENTS[:9]
-        return {
-            "unit": f"{self.unit}/(m/s^2)",
-            **{
-                name: {"value": float(value) / g, "u": float(u) / g}
-                for name, value, u in zip(order, self.block.vector[:9], self.u[:9], strict=True)
-            },
-        }
+        scale = values_with_u(self.block.vector[:9] / self.g_m_s2, self.u[:9] / self.g_m_s2)
+        return {"unit": f"{self.unit}/(m/s^2)", **scale}
 
     def _free_json(self) -> dict[str, Any] | None:
         if self.free is None:
@@ -275,7 +261,7 @@ class Calibration:
         rows = zip(self.free.installation, self.free.pass_number, self.free.point, strict=True)
         return {
             "used": len(self.free),
-            "rms_g": float(np.sqrt(np.mean(self.modulus_error**2))),
+            "rms_g": rms(self.modulus_error),
             "rms_g_without_outliers": self.modulus_rms_g,
             "rows": [
                 {"installation": str(i), "pass": int(p), "point": int(t), "delta_g": float(e)}
@@ -285,8 +271,4 @@ class Calibration:
 
     def _setting_limits_arcsec(self) -> list[float | None] | None:
         limits = self.noise.setting_limits_rad
-        return None if limits is None else [_number(limit / ARCSEC) for limit in limits]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+        return None if limits is None else [finite_or_none(limit / ARCSEC) for limit in limits]

@@ -8,7 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.calibration.design import FIXED
-from bench.analysis.diagnosis.evidence import Search, Whitened
+from bench.analysis.diagnosis.evidence import Whitened
+from bench.analysis.diagnosis.naming import Scored
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.repeats import noise_of_repeats
@@ -32,14 +33,20 @@ class Rival:
     tied: bool
     shift: Floats
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the evidence and the coefficient that would change most."""
+    @property
+    def largest_shift(self) -> tuple[str, float]:
+        """The coefficient that would change most, and by how many u."""
         worst = int(np.argmax(np.abs(self.shift)))
+        return COEFFICIENTS[worst], float(self.shift[worst])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evidence and the coefficient that would change most."""
+        coefficient, in_u = self.largest_shift
         return {
             "name": self.family,
-            "ln_odds": float(self.evidence),
+            "ln_odds": self.evidence,
             "tied": self.tied,
-            "largest_shift": {"coefficient": COEFFICIENTS[worst], "in_u": float(self.shift[worst])},
+            "largest_shift": {"coefficient": coefficient, "in_u": in_u},
         }
 
 
@@ -59,26 +66,21 @@ def rivals(diagnosis: Diagnosis, setting_rad: float) -> tuple[tuple[Rival, ...],
     # with the same wide prior as each rival, or the priors would pass for a difference
     found = posterior(linear, candidates.columns[:, list(naming.columns)], diagnosis.noise)
     coefficients = found.mean[:FIXED]
-    told = []
+    rankings = []
     for one in naming.found:
         others = [i for f in naming.found if f is not one for i in f.variant.columns]
-        scores = Search.beside(whitened, others).score(data)
-        families = scores.families(candidates)[:, 0]
-        evidence = dict(zip(candidates.families, families, strict=True))
-        ranked = sorted(evidence, key=lambda family: -evidence[family])
+        scored = Scored.beside(whitened, data, others)
+        ranked = sorted(scored.evidence, key=lambda family: -scored.evidence[family])
         alike = {one.variant.family, *one.ties, *one.plainer_than}
-        shown = [family for i, family in enumerate(ranked) if i < LISTED or family in alike]
         rows = []
-        for family in shown:
+        for family in (f for i, f in enumerate(ranked) if i < LISTED or f in alike):
             best = max(
                 (i for i, v in enumerate(candidates.variants) if v.family == family),
-                key=lambda i: float(scores.variants[i, 0]),
+                key=lambda i: float(scored.scores.variants[i, 0]),
             )
             variant = one.variant if family == one.variant.family else candidates.variants[best]
             columns = candidates.columns[:, [*others, *variant.columns]]
-            fitted = posterior(linear, columns, diagnosis.noise).mean[:FIXED]
-            rows.append(
-                Rival(family, float(evidence[family]), family in one.ties, (fitted - coefficients) / u)
-            )
-        told.append(tuple(rows))
-    return tuple(told)
+            shift = (posterior(linear, columns, diagnosis.noise).mean[:FIXED] - coefficients) / u
+            rows.append(Rival(family, scored.evidence[family], family in one.ties, shift))
+        rankings.append(tuple(rows))
+    return tuple(rankings)

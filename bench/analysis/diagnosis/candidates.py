@@ -7,15 +7,14 @@ Beside the catalogue stand unnamed families, which describe what nothing in the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
-from bench.base.arrays import CHANNELS, Floats, Ints
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
 from bench.readings.table import VERIFICATION
 
@@ -109,6 +108,21 @@ class _Collector:
         self.scale.append(scale)
         return len(self.columns) - 1
 
+    def add_free(
+        self,
+        family: str,
+        channels: tuple[int, ...],
+        columns: Iterable[Floats],
+        where: str = "",
+        *,
+        several: bool = False,
+    ) -> None:
+        """Add a family without a name; of one that needs `several` columns there is no variant with one."""
+        kind = Column(family, channels[0] if len(channels) == 1 else None)
+        places = tuple(self.add(column, kind, 1.0) for column in columns)
+        if len(places) > several:
+            self.variants.append(Variant(family, places, channels, where=where))
+
 
 def make_candidates(linear: LinearSystem, unit_noise: float) -> Candidates:
     """Collect all that might be missing in these readings.
@@ -183,7 +197,8 @@ def _add_form(
     index: dict[tuple[str, int | None], list[int]] = {}
     for mounts in mount_groups:
         for parameter in parameters:
-            for channel, column in _parameter_columns(collector.linear, effect, parameter, shape, mounts):
+            columns_of = plausible_columns(collector.linear, effect, parameter, shape, mounts)
+            for channel, column in columns_of.items():
                 if np.any(column):
                     place = collector.add(
                         column, Column(parameter.name, channel, mounts), parameter.plausible
@@ -214,130 +229,74 @@ MOST_APART: Final = 3
 """An effect with more parameters than this has them all or none."""
 
 
-def _parameter_columns(
+def plausible_columns(
     linear: LinearSystem,
     effect: Effect,
     parameter: Parameter,
     shape: tuple[tuple[str, float], ...],
     mounts: tuple[str, ...],
-) -> list[tuple[int | None, Floats]]:
+) -> dict[int | None, Floats]:
+    """Return what a parameter of plausible size adds to the rows (N,), for each channel or, under None, for all."""
     values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
     size = parameter.plausible
     values[parameter.name] = np.full(3, size) if parameter.per_channel else np.asarray(size)
     applied = AppliedEffect(effect, values, installations=mounts)
     if not parameter.per_channel:
-        return [(None, linear.effect_column(applied))]
-    return list(enumerate(linear.effect_columns(applied).T))
+        return {None: linear.effect_column(applied)}
+    return dict(enumerate(linear.effect_columns(applied).T))
 
 
 # --- families without a name ------------------------------------------------------------------------
-
-
-def _add_unnamed(collector: _Collector, unit: float) -> None:
-    linear = collector.linear
-    rows, readings = linear.rows, linear.readings
-    oriented = linear.setting >= 0
-    # not modulo a turn: a scale may come back to another angle than the head
-    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
-    mount = _mount_of(linear)
-    pass_number = readings.pass_number[rows.reading]
-    for channel in range(3):
-        mine = oriented & (rows.channel == channel)
-        _groups(collector, FREE_BY_ANGLE, channel, mine, list(zip(mount, angle, strict=True)), unit)
-        _groups(collector, FREE_BY_PASS, channel, mine, list(zip(mount, pass_number, strict=True)), unit)
-        _slow(collector, channel, mine, unit)
-    _head_angle(collector, angle, oriented, unit)
-    steps = _steps(collector, oriented, unit)
-    singles = [
-        _point(collector, SINGLE_READING, i, unit) for i in np.flatnonzero(rows.channel != MODULUS).tolist()
-    ]
-    settings = _settings(collector, unit)
-    for group in (steps, singles, settings):
-        collector.variants += group
-
-
-def _mount_of(linear: LinearSystem) -> Floats:
-    series = linear.readings.series[linear.rows.reading]
-    label = linear.readings.installation[linear.rows.reading]
-    _, number = np.unique([f"{s}/{i}" for s, i in zip(series, label, strict=True)], return_inverse=True)
-    return np.asarray(number, dtype=np.float64)
-
-
-def _groups(
-    collector: _Collector,
-    family: str,
-    channel: int,
-    mine: NDArray[np.bool_],
-    keys: Sequence[object],
-    unit: float,
-) -> None:
-    places = []
-    for key in dict.fromkeys(k for k, own in zip(keys, mine, strict=True) if own):
-        column = np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
-        places.append(collector.add(unit * column, Column(str(key), channel), 1.0))
-    if len(places) > 1:
-        collector.variants.append(Variant(family, tuple(places), (channel,)))
-
-
-def _head_angle(
-    collector: _Collector, angle: NDArray[np.int64], oriented: NDArray[np.bool_], unit: float
-) -> None:
-    linear = collector.linear
-    steepest = float(np.sqrt(np.sum(linear.slope**2) / max(int(linear.setting.max()) + 1, 1)))
-    places = []
-    for mark in dict.fromkeys(angle[oriented].tolist()):
-        column = np.where(oriented & (angle == mark), linear.slope / steepest, 0.0)
-        places.append(collector.add(unit * column, Column(f"{5 * mark} deg", None), 1.0))
-    if len(places) > 1:
-        collector.variants.append(Variant(HEAD_ANGLE, tuple(places), (0, 1, 2)))
-
 
 WAVES: Final = 6
 """Half waves over a run by which something slow in time is described."""
 
 
-def _slow(collector: _Collector, channel: int, mine: NDArray[np.bool_], unit: float) -> None:
-    order = collector.linear.rows.reading.astype(np.float64)
-    time = collector.linear.readings.time_s[collector.linear.rows.reading]
-    t = time if np.all(np.isfinite(time)) and np.ptp(time) > 0 else order
-    phase = (t - t.min()) / max(float(np.ptp(t)), 1e-300)
-    places = [
-        collector.add(unit * mine * np.cos(np.pi * k * phase), Column(f"half waves {k}", channel), 1.0)
-        for k in range(1, WAVES + 1)
-    ]
-    collector.variants.append(Variant(SLOW_IN_TIME, tuple(places), (channel,)))
-
-
-def _steps(collector: _Collector, oriented: NDArray[np.bool_], unit: float) -> list[Variant]:
-    rows = collector.linear.rows
-    variants = []
+def _add_unnamed(collector: _Collector, unit: float) -> None:
+    linear, free = collector.linear, collector.add_free
+    rows, readings = linear.rows, linear.readings
+    oriented = linear.setting >= 0
+    # not modulo a turn: a scale may come back to another angle than the head
+    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
+    mount = list(zip(readings.series[rows.reading], readings.installation[rows.reading], strict=True))
+    pass_number = readings.pass_number[rows.reading]
+    phase = _phase(linear)
+    for channel in range(3):
+        mine = oriented & (rows.channel == channel)
+        free(FREE_BY_ANGLE, (channel,), [unit * one for one in _each(mine, mount, angle)], several=True)
+        free(FREE_BY_PASS, (channel,), [unit * one for one in _each(mine, mount, pass_number)], several=True)
+        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
+        free(SLOW_IN_TIME, (channel,), waves)
+    steepness = linear.typical_slope
+    errors = [unit * np.where(one > 0.0, linear.slope / steepness, 0.0) for one in _each(oriented, angle)]
+    free(HEAD_ANGLE, (0, 1, 2), errors, several=True)
     last = int(rows.reading[oriented].max())
     for channel in range(3):
-        mine = rows.channel == channel
         for at in sorted(set(rows.reading[oriented].tolist())):
             if 0 < at < last:
-                place = collector.add(unit * (mine & (rows.reading >= at)), Column("from", channel), 1.0)
-                variants.append(Variant(STEP_AFTER, (place,), (channel,), where=f"from reading {at + 1} on"))
-    return variants
-
-
-def _point(collector: _Collector, family: str, row: int, unit: float) -> Variant:
-    linear = collector.linear
-    column = np.zeros(len(linear))
-    column[row] = unit
-    channel = int(linear.rows.channel[row])
-    place = collector.add(column, Column("at", channel), 1.0)
-    return Variant(family, (place,), (channel,), where=f"reading {linear.rows.reading[row] + 1}")
-
-
-def _settings(collector: _Collector, unit: float) -> list[Variant]:
-    linear = collector.linear
-    variants = []
-    for number in range(int(linear.setting.max()) + 1):
+                step = unit * ((rows.channel == channel) & (rows.reading >= at))
+                free(STEP_AFTER, (channel,), [step], f"from reading {at + 1} on")
+    for row in np.flatnonzero(rows.channel != MODULUS).tolist():
+        single = np.where(np.arange(len(linear)) == row, unit, 0.0)
+        free(SINGLE_READING, (int(rows.channel[row]),), [single], f"reading {rows.reading[row] + 1}")
+    for number in range(linear.settings):
         column = np.where(linear.setting == number, linear.slope, 0.0)
         length = float(np.linalg.norm(column))
         if length > 0.0:
-            place = collector.add(unit * column / length, Column("angle", None), 1.0)
-            reading = int(linear.rows.reading[linear.setting == number][0])
-            variants.append(Variant(SINGLE_SETTING, (place,), (0, 1, 2), where=f"reading {reading + 1}"))
-    return variants
+            reading = int(rows.reading[linear.setting == number][0])
+            free(SINGLE_SETTING, (0, 1, 2), [unit * column / length], f"reading {reading + 1}")
+
+
+def _each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
+    """Yield for each combination of labels, in order, 1 in the rows of `mine` that have it and 0 in all others."""
+    keys = list(zip(*labels, strict=True))
+    for key in dict.fromkeys(itertools.compress(keys, mine)):
+        yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
+
+
+def _phase(linear: LinearSystem) -> Floats:
+    """Return how far in the run the rows are, 0 to 1, by time or where there is none by their order."""
+    time = linear.readings.time_s[linear.rows.reading]
+    timed = np.all(np.isfinite(time)) and np.ptp(time) > 0
+    t = time if timed else linear.rows.reading.astype(np.float64)
+    return np.asarray((t - t.min()) / max(float(np.ptp(t)), 1e-300))

@@ -132,7 +132,6 @@ class Search:
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in range(0, left.sets, CHUNK)]
         return Scores(
             np.concatenate([p.variants for p in parts], axis=1),
-            np.concatenate([p.null for p in parts]),
             np.concatenate([p.ratio for p in parts], axis=1),
         )
 
@@ -154,18 +153,17 @@ class Search:
                 of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
             total = _log_sum(np.stack(of_size))
             out[group.members] = _log_sum(base[:, None] + total)
-        return Scores(out - null, null, np.exp(of_null - null))
+        return Scores(out - null, np.exp(of_null - null))
 
 
 @dataclass(frozen=True)
 class Scores:
     """ln of the evidence of each variant over that of the model as it is (variants, sets).
 
-    `null` (sets,) is ln of the latter, `ratio` (ratios, sets) the probability of each noise ratio in it.
+    `ratio` (ratios, sets) is the probability of each noise ratio in the latter.
     """
 
     variants: Floats
-    null: Floats
     ratio: Floats
 
     def families(self, candidates: Candidates) -> Floats:

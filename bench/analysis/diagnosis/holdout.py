@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -23,20 +23,30 @@ SURE: Final = 2.0
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """Measured less predicted in readings held out (n,), in the unit of the signal, and its chi-square."""
+
+    error: Floats
+    chi2: float
+
+    @property
+    def reduced(self) -> float:
+        """Chi-square over the number of rows."""
+        return self.chi2 / len(self.error)
+
+
+@dataclass(frozen=True)
 class Fold:
-    """Readings held out: measured less predicted by the model before and after, in the unit of the signal.
+    """Readings held out, predicted by the model as it was given and with what the others named.
 
     `found` are the names that the search on the other readings gave. `confirmable` is false where those could
     not have shown what was found, as worked out before these were opened.
     """
 
     label: str
-    rows: Mask
     found: tuple[str, ...]
-    before: Floats
-    after: Floats
-    chi2_before: float
-    chi2_after: float
+    before: HeldOut
+    after: HeldOut
     confirmable: bool
 
 
@@ -57,29 +67,34 @@ class Gap:
     @property
     def count(self) -> int:
         """Rows in them."""
-        return int(sum(f.rows.sum() for f in self.opened))
+        return sum(len(f.before.error) for f in self.opened)
 
     @property
     def before(self) -> float:
         """Reduced chi-square of the model that was given."""
-        return sum(f.chi2_before for f in self.opened) / max(self.count, 1)
+        return sum(f.before.chi2 for f in self.opened) / max(self.count, 1)
 
     @property
     def after(self) -> float:
         """Reduced chi-square with what was named, each fold by itself."""
-        return sum(f.chi2_after for f in self.opened) / max(self.count, 1)
+        return sum(f.after.chi2 for f in self.opened) / max(self.count, 1)
 
     @property
     def p_after(self) -> float:
         """Probability of more than `after` by chance."""
         return float(special.fdtrc(self.count, self.freedom, self.after)) if self.count else float("nan")
 
-    def rms(self, after: bool) -> float:
+    @property
+    def before_rms(self) -> float:
         """Root mean square of measured less predicted in single channels, unit of the signal."""
-        parts = [f.after if after else f.before for f in self.opened]
-        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else float("nan")
+        return _rms([f.before for f in self.opened])
 
-    def to_json(self) -> dict[str, Any]:
+    @property
+    def after_rms(self) -> float:
+        """The same with what was named."""
+        return _rms([f.after for f in self.opened])
+
+    def to_dict(self) -> dict[str, Any]:
         """Return the promised form."""
         opened = bool(self.opened)
         return {
@@ -87,8 +102,8 @@ class Gap:
             "after": self.after if opened else None,
             "floor": 1.0,
             "p_after": self.p_after if opened else None,
-            "before_rms": self.rms(False) if opened else None,
-            "after_rms": self.rms(True) if opened else None,
+            "before_rms": self.before_rms if opened else None,
+            "after_rms": self.after_rms if opened else None,
             "noise_rms": self.noise.reading,
             "unit": self.unit,
             "held_out": [
@@ -96,12 +111,18 @@ class Gap:
                     "what": f.label,
                     "confirmable": f.confirmable,
                     "named_without_it": list(f.found),
-                    "before": f.chi2_before / int(f.rows.sum()),
-                    "after": f.chi2_after / int(f.rows.sum()),
+                    "before": f.before.reduced,
+                    "after": f.after.reduced,
                 }
                 for f in self.folds
             ],
         }
+
+
+def _rms(parts: Sequence[HeldOut]) -> float:
+    if not parts:
+        return float("nan")
+    return float(np.sqrt(np.mean(np.concatenate([part.error for part in parts]) ** 2)))
 
 
 def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
@@ -128,6 +149,7 @@ def measure_gap(
 ) -> Gap:
     """Hold readings out in turn; name, fit and predict without them."""
     ratios = near_ratios(linear, noise)
+    shown = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     folds = []
     for label, held in folds_of(linear):
         train = ~held
@@ -135,43 +157,27 @@ def measure_gap(
         kept = Candidates(candidates.columns[train], candidates.kinds, candidates.scale, candidates.variants)
         whitened = Whitened.of(make_noise_grid(part, grid.sigma, setting_rad, ratios), kept)
         fold_naming = name(whitened, whitened.reduce(part.response[:, None]), threshold)
-        effects = candidates.columns[:, list(fold_naming.columns)]
-        nothing = candidates.columns[:, :0]
-        before, chi2_before = predicted_error(
-            linear, nothing, noise, posterior(linear, nothing, noise, train), held
-        )
-        after, chi2_after = predicted_error(
-            linear, effects, noise, posterior(linear, effects, noise, train), held
+        before, after = (
+            HeldOut(*predicted_error(linear, effects, noise, posterior(linear, effects, noise, train), held))
+            for effects in (candidates.columns[:, :0], candidates.columns[:, list(fold_naming.columns)])
         )
         names = tuple(f.variant.family for f in fold_naming.found)
-        confirmable = _could_show(whitened, linear, candidates, naming, noise, threshold)
-        folds.append(Fold(label, held, names, before, after, chi2_before, chi2_after, confirmable))
+        folds.append(
+            Fold(label, names, before, after, _could_show(whitened, shown, naming, noise, threshold))
+        )
     return Gap(tuple(folds), noise, linear.readings.unit, noise.freedom)
 
 
 def _could_show(
-    whitened: Whitened,
-    linear: LinearSystem,
-    candidates: Candidates,
-    naming: Naming,
-    noise: NoiseSize,
-    threshold: Threshold,
+    whitened: Whitened, amplitudes: Floats, naming: Naming, noise: NoiseSize, threshold: Threshold
 ) -> bool:
     """Whether the training readings would show each effect at its size: from the design, not their values."""
-    columns = list(naming.columns)
-    if not columns:
-        return True
-    amplitudes = posterior(linear, candidates.columns[:, columns], noise).amplitudes
-    start = 0
-    for one in naming.found:
-        mine = list(one.variant.columns)
-        part = amplitudes[start : start + len(mine)]
-        start += len(mine)
-        others = [c for c in columns if c not in mine]
-        search = Search.beside(whitened, others)
+    half = np.sqrt(2.0 * max(threshold.value + np.log(len(whitened.candidates.families)), 1.0))
+    for one, place in naming.parts():
+        mine, part = list(one.variant.columns), amplitudes[place]
+        search = Search.beside(whitened, [c for c in naming.columns if c not in mine])
         gram = search.cross(len(whitened.gram) // 2, mine)[:, mine]
         middle = gram * (whitened.grid.sigma / noise.reading) ** 2
-        half = np.sqrt(2.0 * max(threshold.value + np.log(len(candidates.families)), 1.0))
         if np.sqrt(max(float(part @ middle @ part), 0.0)) < half + SURE:
             return False
     return True
@@ -194,8 +200,7 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
 
 def near_ratios(linear: LinearSystem, noise: NoiseSize) -> tuple[float, ...]:
     """Return the ratios of the grid next to what the whole data say: for the folds, which have less of it."""
-    count = int(linear.setting.max()) + 1
-    ratio = noise.setting_rad / noise.reading * float(np.sqrt(np.sum(linear.slope**2) / count))
+    ratio = noise.setting_rad / noise.reading * linear.typical_slope
     nearest = int(np.argmin(np.abs(np.array(RATIOS) - ratio)))
     first = min(max(nearest - 1, 0), len(RATIOS) - 3)
     return RATIOS[first : first + 3]

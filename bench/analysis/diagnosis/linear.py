@@ -62,6 +62,16 @@ class LinearSystem:
     def __len__(self) -> int:
         return len(self.response)
 
+    @property
+    def settings(self) -> int:
+        """How many settings there are."""
+        return int(self.setting.max()) + 1
+
+    @property
+    def typical_slope(self) -> float:
+        """Root mean square over the settings of the length of du/dphi."""
+        return float(np.sqrt(np.sum(self.slope**2) / max(self.settings, 1)))
+
     def effect_column(self, applied: AppliedEffect) -> Floats:
         """Return what an effect with these values adds to the rows, shape (N,): its difference from none."""
         return self.view.rows_of(self.view.change(self.model, applied, self.block))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import UNNAMED, Candidates, Variant
+from bench.analysis.diagnosis.candidates import UNNAMED, Variant
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Data, Scores, Search, Whitened
 from bench.analysis.diagnosis.threshold import Threshold, total_evidence
 from bench.base.arrays import Floats
@@ -55,38 +57,107 @@ class Naming:
         """Columns of all that was found."""
         return tuple(i for f in self.found for i in f.variant.columns)
 
+    def parts(self) -> Iterator[tuple[Found, slice]]:
+        """Yield each thing found with the place of its own among `columns`."""
+        start = 0
+        for found in self.found:
+            stop = start + len(found.variant.columns)
+            yield found, slice(start, stop)
+            start = stop
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A data set scored beside what the model has by now.
+
+    `left` is what that leaves of the data, `evidence` the ln odds of each family, `total` those of anything at
+    all; `ratio` is the number of the likeliest ratio of the two noise sizes.
+    """
+
+    search: Search
+    left: Data
+    scores: Scores
+    evidence: Mapping[str, float]
+    total: float
+    ratio: int
+
+    @classmethod
+    def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
+        """Score all variants beside a model that has the `known` columns already."""
+        search = Search.beside(whitened, known)
+        scores = search.score(data)
+        families = scores.families(whitened.candidates)[:, 0].tolist()
+        return cls(
+            search,
+            search.left_over(data),
+            scores,
+            dict(zip(whitened.candidates.families, families, strict=True)),
+            float(total_evidence(scores, whitened)[0]),
+            int(np.argmax(scores.ratio[:, 0])),
+        )
+
+    def best(self) -> Found:
+        """Return the best family in its best form."""
+        return self.found(max(self.evidence, key=lambda family: self.evidence[family]))
+
+    def found(self, family: str) -> Found:
+        """Return a family in its best form."""
+        variant = self._best_variant(family)
+        return Found(variant, self.evidence[family], self.total, math.sqrt(self.explained(variant)))
+
+    def _best_variant(self, family: str) -> Variant:
+        variants = self.search.whitened.candidates.variants
+        evidence = {
+            i: float(self.scores.variants[i, 0]) for i, v in enumerate(variants) if v.family == family
+        }
+        best = max(evidence, key=lambda i: evidence[i])
+        rivals = [i for i in evidence if evidence[best] - evidence[i] < LESS_PLAUSIBLE]
+        if any(variants[i].mounts != variants[best].mounts for i in rivals):
+            # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
+            best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
+        return variants[best]
+
+    def explained(self, variant: Variant) -> float:
+        """Return what a form explains of the data, in units of the noise squared."""
+        amplitude, gram = self.amplitude(variant)
+        return max(float(amplitude @ gram @ amplitude), 0.0)
+
+    def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
+        """Return the sizes of a form's columns (p,) and their Gram matrix (p, p) beside what is known."""
+        columns = list(variant.columns)
+        gram = self.search.cross(self.ratio, columns)[:, columns]
+        along = self.left.along[self.ratio, columns, 0]
+        amplitude = np.linalg.solve(gram + np.eye(len(columns)) / KNOWN_SIZE**2, along)
+        return np.asarray(amplitude, dtype=np.float64), gram
+
 
 def name(whitened: Whitened, data: Data, threshold: Threshold) -> Naming:
     """Find what is missing in one data set."""
     found: list[Found] = []
     while True:
-        search = Search.beside(whitened, _columns(found))
-        best, total = _best(search, data)
-        if total < threshold.value or len(found) == MOST_EFFECTS:
+        scored = Scored.beside(whitened, data, _columns(found))
+        if scored.total < threshold.value or len(found) == MOST_EFFECTS:
             break
-        pair = None if best.variant.named else _named_pair(search, data, best)
+        best = scored.best()
+        pair = None if best.variant.named else _named_pair(scored, data, best)
         found += pair or [best]
         if len(found) > 1:
             found = _re_examine(whitened, data, found)
-    return Naming(tuple(_with_ties(whitened, data, found)), total)
+    tied = tuple(_tied(Scored.beside(whitened, data, _columns(found, but=i)), f) for i, f in enumerate(found))
+    return Naming(tied, scored.total)
 
 
-def _named_pair(search: Search, data: Data, unnamed: Found) -> list[Found] | None:
+def _named_pair(scored: Scored, data: Data, unnamed: Found) -> list[Found] | None:
     """Return two effects of the catalogue that together explain what only an unnamed family does alone.
 
     Something free explains two effects of one channel at once, and would hide both.
     """
-    candidates = search.whitened.candidates
-    scores = search.score(data)
-    families = scores.families(candidates)[:, 0]
-    ratio = int(np.argmax(scores.ratio[:, 0]))
+    search, evidence = scored.search, scored.evidence
     best: tuple[float, list[Found]] | None = None
-    named = [i for i, family in enumerate(candidates.families) if family not in UNNAMED]
-    for place in sorted(named, key=lambda i: -families[i])[:FIRST_OF_PAIR]:
-        variant = _best_variant(candidates, scores, candidates.families[place])
-        first = Found(variant, float(families[place]), unnamed.total, _size(search, data, variant, ratio))
-        beside = Search.beside(search.whitened, [*search.known, *variant.columns])
-        second, _ = _best(beside, data)
+    named = [family for family in evidence if family not in UNNAMED]
+    for family in sorted(named, key=lambda family: -evidence[family])[:FIRST_OF_PAIR]:
+        first = scored.found(family)
+        second = Scored.beside(search.whitened, data, [*search.known, *first.variant.columns]).best()
         joint = first.evidence + second.evidence
         if second.variant.named and (best is None or joint > best[0]):
             best = joint, [first, second]
@@ -95,46 +166,8 @@ def _named_pair(search: Search, data: Data, unnamed: Found) -> list[Found] | Non
     return best[1]
 
 
-def _best_variant(candidates: Candidates, scores: Scores, family: str) -> Variant:
-    numbers = [i for i, v in enumerate(candidates.variants) if v.family == family]
-    evidence = {i: float(scores.variants[i, 0]) for i in numbers}
-    best = max(numbers, key=lambda i: evidence[i])
-    mounts = candidates.variants[best].mounts
-    rivals = [i for i in numbers if evidence[best] - evidence[i] < LESS_PLAUSIBLE]
-    if any(candidates.variants[i].mounts != mounts for i in rivals):
-        # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
-        best = max(rivals, key=lambda i: (len(candidates.variants[i].columns), evidence[i]))
-    return candidates.variants[best]
-
-
-def _columns(found: list[Found]) -> list[int]:
-    return [i for f in found for i in f.variant.columns]
-
-
-def _best(search: Search, data: Data) -> tuple[Found, float]:
-    """Return the best variant of the best family beside what is known, and the total evidence."""
-    candidates = search.whitened.candidates
-    scores = search.score(data)
-    total = float(total_evidence(scores, search.whitened)[0])
-    families = scores.families(candidates)[:, 0]
-    family = candidates.families[int(np.argmax(families))]
-    variant = _best_variant(candidates, scores, family)
-    size = _size(search, data, variant, int(np.argmax(scores.ratio[:, 0])))
-    return Found(variant, float(families.max()), total, size), total
-
-
-def _size(search: Search, data: Data, variant: Variant, ratio: int) -> float:
-    left = search.left_over(data)
-    amplitude, gram = _amplitude(search, left, variant, ratio)
-    return float(np.sqrt(max(float(amplitude @ gram @ amplitude), 0.0)))
-
-
-def _amplitude(search: Search, left: Data, variant: Variant, ratio: int) -> tuple[Floats, Floats]:
-    columns = list(variant.columns)
-    gram = search.cross(ratio, columns)[:, columns]
-    along = left.along[ratio, columns, 0]
-    amplitude = np.linalg.solve(gram + np.eye(len(columns)) / KNOWN_SIZE**2, along)
-    return np.asarray(amplitude, dtype=np.float64), gram
+def _columns(found: list[Found], but: int | None = None) -> list[int]:
+    return [column for i, f in enumerate(found) if i != but for column in f.variant.columns]
 
 
 def _re_examine(whitened: Whitened, data: Data, found: list[Found]) -> list[Found]:
@@ -142,8 +175,7 @@ def _re_examine(whitened: Whitened, data: Data, found: list[Found]) -> list[Foun
     for _ in range(2):
         changed = False
         for i in range(len(found)):
-            others = found[:i] + found[i + 1 :]
-            best, _ = _best(Search.beside(whitened, _columns(others)), data)
+            best = Scored.beside(whitened, data, _columns(found, but=i)).best()
             if best.variant != found[i].variant:
                 found[i], changed = best, True
         if not changed:
@@ -151,29 +183,16 @@ def _re_examine(whitened: Whitened, data: Data, found: list[Found]) -> list[Foun
     return found
 
 
-def _with_ties(whitened: Whitened, data: Data, found: list[Found]) -> list[Found]:
-    result = []
-    for i, one in enumerate(found):
-        others = found[:i] + found[i + 1 :]
-        search = Search.beside(whitened, _columns(others))
-        result.append(_tied(search, data, one))
-    return result
-
-
-def _tied(search: Search, data: Data, one: Found) -> Found:
-    """Find which other effects would explain what `one` explains."""
-    candidates = search.whitened.candidates
-    scores = search.score(data)
-    families = scores.families(candidates)[:, 0]
-    evidence = dict(zip(candidates.families, families, strict=True))
-    ratio = int(np.argmax(scores.ratio[:, 0]))
-    amplitude, gram = _amplitude(search, search.left_over(data), one.variant, ratio)
+def _tied(scored: Scored, one: Found) -> Found:
+    """Find which other effects would explain what `one` explains; `scored` is beside all others that were found."""
+    evidence = scored.evidence
+    amplitude, gram = scored.amplitude(one.variant)
     explained = float(amplitude @ gram @ amplitude)
-    smallest = _explaining(search, ratio, one.variant, amplitude, explained - LEAK**2)
+    smallest = _explaining(scored, one.variant, amplitude, explained - LEAK**2)
     fewest = min(len(one.variant.columns), smallest.get(one.variant.family, len(one.variant.columns)))
     ties: list[str] = []
     plainer: list[str] = []
-    for family in candidates.families:
+    for family in evidence:
         if family == one.variant.family:
             continue
         near = evidence[one.variant.family] - evidence[family] < LESS_PLAUSIBLE
@@ -186,17 +205,16 @@ def _tied(search: Search, data: Data, one: Found) -> Found:
             ties.append(family)
     return replace(
         one,
-        evidence=float(evidence[one.variant.family]),
-        size=float(np.sqrt(max(explained, 0.0))),
+        evidence=evidence[one.variant.family],
+        size=math.sqrt(max(explained, 0.0)),
         ties=tuple(sorted(ties, key=lambda f: -evidence[f])),
         plainer_than=tuple(plainer),
     )
 
 
-def _explaining(
-    search: Search, ratio: int, variant: Variant, amplitude: Floats, enough: float
-) -> dict[str, int]:
+def _explaining(scored: Scored, variant: Variant, amplitude: Floats, enough: float) -> dict[str, int]:
     """Return the families that explain `enough` of a signature, with the fewest numbers that it takes them."""
+    search, ratio = scored.search, scored.ratio
     across = amplitude @ search.cross(ratio, variant.columns)
     fewest: dict[str, int] = {}
     for group in search.groups:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
@@ -66,7 +66,8 @@ class Separation:
 class Proposal:
     """What to measure next and why. `minutes` is the expected time; `shows` are effects hidden so far.
 
-    `source` is the procedure on the menu; `left_out` says of each procedure that this bench cannot carry out why.
+    `source` is the procedure on the menu, `written` the file with the reason on top; `left_out` says of each
+    procedure that this bench cannot carry out why.
     """
 
     why: str
@@ -74,7 +75,8 @@ class Proposal:
     minutes: float
     settles: tuple[Separation, ...] = ()
     shows: tuple[str, ...] = ()
-    left_out: Mapping[str, str] | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    written: Path | None = None
 
     @property
     def name(self) -> str:
@@ -88,8 +90,13 @@ class Proposal:
         head = "".join(f"# {line}\n" for line in lines)
         return f"{head}#\n{self.source.read_text(encoding='utf-8')}"
 
-    def write(self, path: Path) -> Path:
-        """Write the procedure; return where it stands. Raises `OSError`.
+    @property
+    def procedure(self) -> Path:
+        """The file to carry out: that of the menu until it is written elsewhere."""
+        return self.written or self.source
+
+    def write(self, path: Path) -> Proposal:
+        """Write the procedure; return the proposal that says where it stands. Raises `OSError`.
 
         A file that is there is never written over: where it says something else, a number is added to the name.
         """
@@ -103,20 +110,17 @@ class Proposal:
                 if not free.is_file() or free.read_bytes() != self.text.encode():
                     continue
             break
-        return free
+        return replace(self, written=free)
 
-    def to_json(self, procedure: Path) -> dict[str, Any]:
-        """Return the promised form; `procedure` is the file that was written."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the promised form."""
         return {
             "why": self.why,
-            "procedure": str(procedure),
+            "procedure": str(self.procedure),
             "minutes": self.minutes,
-            "settles": [
-                {"effect": s.effect, "other": s.other, "before": s.before, "after": s.after}
-                for s in self.settles
-            ],
+            "settles": [asdict(separation) for separation in self.settles],
             "shows": list(self.shows),
-            "left_out": dict(self.left_out or {}),
+            "left_out": dict(self.left_out),
         }
 
 
@@ -194,11 +198,11 @@ class _Bill:
             return None
         most = max(_settled(helped) for _, _, helped in bills)
         if most:
-            path, minutes, told = min((b for b in bills if _settled(b[2]) == most), key=lambda b: b[1])
+            path, minutes, settles = min((b for b in bills if _settled(b[2]) == most), key=lambda b: b[1])
         else:
-            path, minutes, told = max(bills, key=lambda b: sum(s.after - s.before for s in b[2]) / b[1])
-        why = _why_settles(told, path.stem, minutes) + self._told_left_out()
-        return Proposal(why, path, minutes, told, left_out=self.left_out)
+            path, minutes, settles = max(bills, key=lambda b: sum(s.after - s.before for s in b[2]) / b[1])
+        why = _why_settles(settles, path.stem, minutes) + self._without()
+        return Proposal(why, path, minutes, settles, left_out=self.left_out)
 
     def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
         """Return D of each effect that was found against each that it cannot be told from."""
@@ -242,11 +246,11 @@ class _Bill:
             f"these readings could hardly or never show {listed}; together with the procedure '{path.stem}' "
             f"(about {minutes:.0f} min) they would, from twice the plausible size on"
         )
-        return Proposal(why + self._told_left_out(), path, minutes, shows=names, left_out=self.left_out)
+        return Proposal(why + self._without(), path, minutes, shows=names, left_out=self.left_out)
 
-    def _told_left_out(self) -> str:
-        told = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
-        return f". Not possible on this bench: {told}" if told else ""
+    def _without(self) -> str:
+        listed = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
+        return f". Not possible on this bench: {listed}" if listed else ""
 
 
 def _looked_for(linear: LinearSystem) -> frozenset[str]:

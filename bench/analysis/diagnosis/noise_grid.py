@@ -60,9 +60,10 @@ def make_noise_grid(
     `setting_rad` is the setting error that the bench file states (0: not known). With fewer `ratios` than
     the whole grid the search is quicker: where the noise is known well enough.
     """
-    count = int(linear.setting.max()) + 1
     oriented = linear.setting >= 0
-    slope2 = np.bincount(linear.setting[oriented], linear.slope[oriented] ** 2, count).astype(np.float64)
+    slope2 = np.bincount(linear.setting[oriented], linear.slope[oriented] ** 2, linear.settings).astype(
+        np.float64
+    )
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
     whites, log_dets = [], []

@@ -63,8 +63,8 @@ def planned_readings(
         scan_order=[r.scan for r in reads] if any(r.scan for r in reads) else None,
     )
     if any(label == REFERENCE for label in table.installation):
-        told = ["" if r.installation != REFERENCE else repr(v) for r, v in zip(reads, volts, strict=True)]
-        table = replace(table, extra={**table.extra, REFERENCE_V: np.array(told, dtype=np.str_)})
+        stated = ["" if r.installation != REFERENCE else repr(v) for r, v in zip(reads, volts, strict=True)]
+        table = replace(table, extra={**table.extra, REFERENCE_V: np.array(stated, dtype=np.str_)})
     return replace(table, signal=_signals(table, model, block, np.array(volts)))
 
 

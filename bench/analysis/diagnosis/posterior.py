@@ -22,12 +22,17 @@ class NoiseSize:
     setting_rad: float
     freedom: int
 
+    @property
+    def setting_arcsec(self) -> float:
+        """The setting error in seconds of arc."""
+        return self.setting_rad * 648000 / np.pi
+
 
 @dataclass(frozen=True)
 class Posterior:
     """Estimates of coefficients (less the first guess), stand and effects, with covariance, unit of the priors.
 
-    Order: 12 coefficients in their units; the columns of `Linear.random`; the effects' columns.
+    Order: 12 coefficients in their units; the columns of `LinearSystem.random`; the effects' columns.
     """
 
     mean: Floats
@@ -44,12 +49,6 @@ class Posterior:
         """Their covariance."""
         first = len(self.mean) - self.effects
         return self.covariance[first:, first:]
-
-    @property
-    def amplitude_u(self) -> Floats:
-        """Their standard uncertainties."""
-        root: Floats = np.sqrt(np.diag(self.covariance))[len(self.mean) - self.effects :]
-        return root
 
 
 def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseSize:
@@ -90,10 +89,7 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
     columns = candidates.columns[:, list(naming.columns)]
     first = posterior(linear, columns, noise)
     sizes = np.ones(columns.shape[1])
-    start = 0
-    for found in naming.found:
-        mine = slice(start, start + len(found.variant.columns))
-        start = mine.stop
+    for _, mine in naming.parts():
         largest = float(np.max(np.abs(first.amplitudes[mine])))
         sizes[mine] = next((size for size in SIZES if largest <= 2 * size), KNOWN_SIZE)
     scale = sizes / KNOWN_SIZE

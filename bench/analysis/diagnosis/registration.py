@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass, replace
 
 from bench.analysis.diagnosis import candidates, evidence, naming, noise_grid, threshold, visibility, where
 from bench.analysis.diagnosis.holdout import folds_of
@@ -13,28 +12,50 @@ from bench.analysis.diagnosis.linear import LinearSystem
 from bench.model import CATALOGUE
 
 
-def register(linear: LinearSystem, limit: threshold.Threshold) -> dict[str, Any]:
-    """Return catalogue, priors, threshold, limits of a tie and what is held out, with their SHA-256."""
-    settled: dict[str, Any] = {
-        "catalogue": {
-            name: [asdict(parameter) for parameter in effect.parameters] for name, effect in CATALOGUE.items()
-        },
-        "unnamed": list(candidates.UNNAMED),
-        "sizes": list(evidence.SIZES),
+@dataclass(frozen=True)
+class Registration:
+    """Priors, threshold, limits of a tie, what is held out; `sha256` is of them, the catalogue and the weights."""
+
+    sha256: str
+    unnamed: tuple[str, ...]
+    sizes: tuple[float, ...]
+    noise_ratios: tuple[float, ...]
+    noise_ratio_spread: float
+    threshold: float
+    false_alarms: float
+    tie_leak: float
+    tie_evidence: float
+    tie_absurd: float
+    pair_margin: float
+    most_effects: int
+    hidden_beyond: float
+    significance_where: float
+    held_out: tuple[str, ...]
+
+
+def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
+    """Return what is settled for these readings, with its hash."""
+    settled = Registration(
+        sha256="",
+        unnamed=candidates.UNNAMED,
+        sizes=evidence.SIZES,
+        noise_ratios=noise_grid.RATIOS,
+        noise_ratio_spread=noise_grid.RATIO_SPREAD,
+        threshold=round(limit.value, 9),
+        false_alarms=limit.probability,
+        tie_leak=naming.LEAK,
+        tie_evidence=naming.LESS_PLAUSIBLE,
+        tie_absurd=naming.ABSURD,
+        pair_margin=naming.PAIR_MARGIN,
+        most_effects=naming.MOST_EFFECTS,
+        hidden_beyond=visibility.BEYOND_BELIEF,
+        significance_where=where.SIGNIFICANT,
+        held_out=tuple(label for label, _ in folds_of(linear)),
+    )
+    hashed = asdict(settled) | {
+        "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
         "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
-        "noise_ratios": list(noise_grid.RATIOS),
-        "noise_ratio_spread": noise_grid.RATIO_SPREAD,
-        "threshold": round(limit.value, 9),
-        "false_alarms": limit.probability,
-        "tie_leak": naming.LEAK,
-        "tie_evidence": naming.LESS_PLAUSIBLE,
-        "tie_absurd": naming.ABSURD,
-        "pair_margin": naming.PAIR_MARGIN,
-        "most_effects": naming.MOST_EFFECTS,
-        "hidden_beyond": visibility.BEYOND_BELIEF,
-        "significance_where": where.SIGNIFICANT,
-        "held_out": [label for label, _ in folds_of(linear)],
     }
-    text = json.dumps(settled, sort_keys=True)
-    told = {key: value for key, value in settled.items() if key not in {"catalogue", "size_weights"}}
-    return {"sha256": hashlib.sha256(text.encode()).hexdigest(), **told}
+    del hashed["sha256"]
+    text = json.dumps(hashed, sort_keys=True)
+    return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())

@@ -17,13 +17,9 @@ LEAST_FREEDOM: Final = 6
 
 @dataclass(frozen=True)
 class Repeats:
-    """Noise of a reading (unit of the signal) from what repeats of a setting leave.
-
-    `per_channel` (3,) the scatter of each channel, the setting error in it; `freedom` in settings.
-    """
+    """Noise of a reading (unit of the signal) from what repeats of a setting leave; `freedom` in settings."""
 
     sigma: float
-    per_channel: Floats
     freedom: int
 
 
@@ -56,7 +52,7 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     across = rest - np.sum(rest * unit, axis=1, keepdims=True) * unit
     floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(readings.signal))))
     sigma = max(float(np.sqrt(np.sum(across**2) / (2 * freedom))), floor)
-    return Repeats(sigma, np.sqrt(np.sum(rest**2, axis=0) / freedom), freedom)
+    return Repeats(sigma, freedom)
 
 
 def _saturated(mount: list[str], angle: NDArray[np.int64], passes: NDArray[np.int64]) -> Floats:

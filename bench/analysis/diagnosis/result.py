@@ -1,19 +1,20 @@
-"""What a diagnosis returns."""
+"""What is found out about one body of readings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.known_together import KnownTogether
 from bench.analysis.diagnosis.linear import LinearSystem
-from bench.analysis.diagnosis.naming import Found, Naming
+from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
+from bench.analysis.diagnosis.registration import Registration
 from bench.analysis.diagnosis.where import Place
-from bench.analysis.mistakes.search import MistakeSearch
-from bench.base.arrays import CHANNELS
+from bench.analysis.mistakes.search import Mistake, MistakeSearch
 from bench.model import CATALOGUE, AppliedEffect
 
 Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
@@ -33,13 +34,28 @@ UNNAMED_WORDS: Mapping[str, str] = {
 
 
 @dataclass(frozen=True)
+class EffectValue:
+    """A parameter as estimated, in the catalogue's unit. Of a shape `u` is None: it was tried, not estimated.
+
+    `channel` is empty where it is of all, `installations` where the effect has one set of values.
+    """
+
+    parameter: str
+    channel: str
+    installations: str
+    value: float
+    u: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
 class NamedEffect:
     """An effect that was found, with its parameters as estimated.
 
     `applied` is empty for what has no name, else one entry for each set of mountings with values of its own.
     `together` are sums or differences of values that the readings tell where they hardly tell the values.
     `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size in
-    units of noise.
+    units of noise, None for a lack of fit, which was not looked for.
     """
 
     name: str
@@ -47,20 +63,20 @@ class NamedEffect:
     installations: tuple[str, ...]
     cannot_tell_from: tuple[str, ...]
     plainer_than: tuple[str, ...]
-    parameters: Mapping[str, Any]
+    parameters: tuple[EffectValue, ...]
     p: float
     p_all_looks: float
-    rho: float
+    rho: float | None
     words: str
     applied: tuple[AppliedEffect, ...] = ()
-    together: tuple[Mapping[str, Any], ...] = ()
+    together: tuple[KnownTogether, ...] = ()
 
     @property
     def in_catalogue(self) -> bool:
         """Whether it has a name."""
         return self.name in CATALOGUE
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the promised form."""
         return {
             "name": self.name,
@@ -68,13 +84,26 @@ class NamedEffect:
             "installations": list(self.installations),
             "cannot_tell_from": list(self.cannot_tell_from),
             "plainer_than": list(self.plainer_than),
-            "parameters": dict(self.parameters),
-            "together": [dict(one) for one in self.together],
+            "parameters": _nested(self.parameters),
+            "together": [asdict(one) for one in self.together],
             "p": self.p,
             "p_all_looks": self.p_all_looks,
             "rho": self.rho,
             "words": self.words,
         }
+
+
+def _nested(values: Sequence[EffectValue]) -> dict[str, Any]:
+    """Return values by installations, parameter and channel, each level where there is one."""
+    tree: dict[str, Any] = {}
+    for one in values:
+        levels = [key for key in (one.installations, one.parameter, one.channel) if key]
+        branch = tree
+        for key in levels[:-1]:
+            branch = branch.setdefault(key, {})
+        u = {} if one.u is None else {"u": one.u}
+        branch[levels[-1]] = {"value": one.value, **u, "unit": one.unit}
+    return tree
 
 
 @dataclass(frozen=True)
@@ -93,7 +122,7 @@ class Diagnosis:
     hidden: Mapping[str, tuple[str, ...]]
     detectable: Mapping[str, float]
     gap: Gap
-    registered: Mapping[str, Any]
+    registered: Registration
     linear: LinearSystem
     candidates: Candidates
     naming: Naming
@@ -107,47 +136,45 @@ class Diagnosis:
         """The named effects with their values, to be added to the model."""
         return tuple(a for e in self.effects for a in e.applied)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the promised result; who proposes a measurement or writes a model file puts them in."""
-        mistakes = [
-            {
-                "name": m.name,
-                "channels": list(m.channels),
-                "cannot_tell_from": list(m.cannot_tell_from),
-                "installations": list(m.installations),
-                "parameters": {
-                    "pass": m.pass_number,
-                    "point": m.point,
-                    "misfit_before": m.evidence.before,
-                    "misfit_after": m.evidence.after,
-                },
-                "p": m.p,
-                "p_all_looks": m.p,
-                "words": m.words,
-            }
-            for m in self.mistakes.mistakes
-        ]
         return {
             "verdict": self.verdict,
-            "where": [place.to_json() for place in self.where],
-            "effects": mistakes + [effect.to_json() for effect in self.effects],
+            "where": [asdict(place) for place in self.where],
+            "effects": [
+                *(_mistake(mistake) for mistake in self.mistakes.mistakes),
+                *(effect.to_dict() for effect in self.effects),
+            ],
             "next_measurement": None,
             "hidden": list(self.hidden),
             "hidden_parts": {name: list(parts) for name, parts in self.hidden.items() if parts},
-            "gap": self.gap.to_json(),
+            "gap": self.gap.to_dict(),
             "model": None,
             "noise": {
                 "reading": self.noise.reading,
-                "setting_arcsec": self.noise.setting_rad * 648000 / 3.141592653589793,
+                "setting_arcsec": self.noise.setting_arcsec,
                 "dof": self.noise.freedom,
             },
             "p_left": self.p_left,
             "detectable": dict(self.detectable),
-            "registered": dict(self.registered),
+            "registered": asdict(self.registered),
             "notes": list(self.notes),
         }
 
 
-def channels_of(found: Found) -> tuple[str, ...]:
-    """Return the channels by name."""
-    return tuple(CHANNELS[c] for c in found.variant.channels)
+def _mistake(mistake: Mistake) -> dict[str, Any]:
+    return {
+        "name": mistake.name,
+        "channels": list(mistake.channels),
+        "cannot_tell_from": list(mistake.cannot_tell_from),
+        "installations": list(mistake.installations),
+        "parameters": {
+            "pass": mistake.pass_number,
+            "point": mistake.point,
+            "misfit_before": mistake.evidence.before,
+            "misfit_after": mistake.evidence.after,
+        },
+        "p": mistake.p,
+        "p_all_looks": mistake.p,
+        "words": mistake.words,
+    }

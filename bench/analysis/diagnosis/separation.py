@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import Candidates, Variant
+from bench.analysis.diagnosis.candidates import Candidates, Variant, plausible_columns
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.posterior import NoiseSize, whiten_rows
@@ -117,15 +117,10 @@ class ReadingDesign:
     def _column(self, part: EffectPart) -> Floats:
         if part not in self._unseen:
             effect = CATALOGUE[part.family]
-            size = next(p.plausible for p in effect.parameters if p.name == part.parameter)
-            values: dict[str, Floats] = {name: np.asarray(value) for name, value in part.shape}
-            values[part.parameter] = np.asarray(size) if part.channel is None else np.full(3, size)
-            applied = AppliedEffect(effect, values, installations=part.mounts)
-            if part.channel is None:
-                self._unseen[part] = self.linear.effect_column(applied)
-            else:
-                for channel, column in enumerate(self.linear.effect_columns(applied).T):
-                    self._unseen[part._replace(channel=channel)] = column
+            parameter = next(p for p in effect.parameters if p.name == part.parameter)
+            columns = plausible_columns(self.linear, effect, parameter, part.shape, part.mounts)
+            for channel, column in columns.items():
+                self._unseen[part._replace(channel=channel)] = column
         return self._unseen[part]
 
     def seen(self, form: Form) -> Floats:

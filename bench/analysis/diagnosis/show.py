@@ -15,6 +15,7 @@ from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_pro
 from bench.analysis.calibration.noise import repeat_groups, whiten
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
+from bench.model.block import COEFFICIENTS
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 SEED: Final = 1
@@ -59,14 +60,24 @@ class Simulation:
     points: tuple[ModulusPoint, ...]
     joined: bool
 
-    def to_json(self) -> dict[str, Any]:
+    @property
+    def tested(self) -> bool:
+        """Whether there are repeats enough to test the readings beside it."""
+        return bool(np.isfinite(self.test.p))
+
+    @property
+    def worst_g(self) -> float | None:
+        """The largest |delta_g| of the verification points; None where there is none."""
+        return max((abs(p.delta_g) for p in self.points if np.isfinite(p.delta_g)), default=None)
+
+    def to_dict(self) -> dict[str, Any]:
         """Return the test and the modulus at the verification points."""
         return {
-            "chi2": _number(self.test.chi2),
+            "chi2": self.test.chi2,
             "dof": self.test.dof,
-            "p": _number(self.test.p),
-            "rms": _number(self.test.rms),
-            "rms_of_a_simulated_run": _number(self.repeated.lack_of_fit.rms),
+            "p": self.test.p,
+            "rms": self.test.rms,
+            "rms_of_a_simulated_run": self.repeated.lack_of_fit.rms,
             "seed": SEED,
             "verification_joined": self.joined,
             "delta_g": [
@@ -74,12 +85,27 @@ class Simulation:
                     "angle_deg": p.angle_deg,
                     "pass": p.pass_number,
                     "point": p.point,
-                    "delta_g": _number(p.delta_g),
-                    "u": _number(p.u),
+                    "delta_g": p.delta_g,
+                    "u": p.u,
                 }
                 for p in self.points
             ],
         }
+
+
+@dataclass(frozen=True)
+class CoefficientChange:
+    """A coefficient with its u by the model before and after."""
+
+    before: float
+    u_before: float
+    after: float
+    u_after: float
+
+    @property
+    def in_u(self) -> float:
+        """The change in units of u before; 0 where there is no u."""
+        return (self.after - self.before) / self.u_before if self.u_before else 0.0
 
 
 @dataclass(frozen=True)
@@ -88,6 +114,18 @@ class Shown:
 
     before: Simulation
     after: Simulation | None
+
+    @property
+    def last(self) -> Simulation:
+        """The best there is: the model with what was found, else the one that was given."""
+        return self.after or self.before
+
+    @property
+    def coefficients(self) -> dict[str, CoefficientChange]:
+        """The twelve coefficients as `calibrate` states them."""
+        before, after = self.before.calibration, self.last.calibration
+        columns = np.stack([before.block.vector, before.u, after.block.vector, after.u], axis=1).tolist()
+        return {name: CoefficientChange(*row) for name, row in zip(COEFFICIENTS, columns, strict=True)}
 
 
 def show(
@@ -278,7 +316,3 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
             rows.angle_rad, rows.pass_number, rows.point, size, variance, strict=True
         )
     )
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -57,9 +57,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
     """Draw responses (N, sets) of readings in which nothing is missing; `ratios` (sets,) of the noise."""
     sets = len(ratios)
-    count = int(linear.setting.max()) + 1
-    typical = np.sqrt(np.sum(linear.slope**2) / count)
-    setting = rng.standard_normal((count, sets)) * ratios / typical
+    setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
     response = rng.standard_normal((len(linear), sets))
     response += np.where(linear.setting >= 0, linear.slope, 0.0)[:, None] * setting[linear.setting]
     response *= sigma

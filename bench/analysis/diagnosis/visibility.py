@@ -56,13 +56,13 @@ def hidden(
     they show in one phase and never in the other is among them. `sizes` come from `detectable`.
     """
     parts = _hidden_parts(whitened, half_power(whitened, threshold), ratio)
-    told: dict[str, tuple[str, ...]] = {}
+    unseen: dict[str, tuple[str, ...]] = {}
     for name in CATALOGUE:
         if sizes[name] > BEYOND_BELIEF:
-            told[name] = ()
+            unseen[name] = ()
         elif any(parameter.endswith(ROUND) for parameter, _ in parts.get(name, ())):
-            told[name] = tuple(text for _, text in parts[name])
-    return told
+            unseen[name] = tuple(text for _, text in parts[name])
+    return unseen
 
 
 def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list[tuple[str, str]]]:

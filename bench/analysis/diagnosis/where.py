@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from functools import partial
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, Mask
 
 SIGNIFICANT: Final = 0.01
 MOST_PLACES: Final = 8
@@ -38,18 +39,6 @@ class Place:
     p: float
     p_local: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "channel": self.channel,
-            "installation": self.installation,
-            "pattern": self.pattern,
-            "size": self.size,
-            "unit": self.unit,
-            "p": self.p,
-            "p_local": self.p_local,
-        }
-
 
 @dataclass(frozen=True)
 class _Look:
@@ -66,10 +55,9 @@ def find_places(
 
     `sigma` is the noise of a reading as the repeats give it, with `freedom`; `ratio` says which of the grid.
     """
-    looks = _looks(linear)
+    looks = list(_looks(linear))
     white = [grid.white[ratio] @ look.columns for look in looks]
     left = grid.white[ratio] @ linear.response
-    noise = sigma
     places: list[Place] = []
     basis = np.zeros((len(left), 0))
     while len(places) < MOST_PLACES:
@@ -81,7 +69,7 @@ def find_places(
             if not usable.all():
                 continue
             part = q.T @ left
-            statistic = float(part @ part) / len(part) / noise**2
+            statistic = float(part @ part) / len(part) / sigma**2
             p = float(special.fdtrc(len(part), freedom, statistic))
             # where p underflows the size of the statistic still orders
             if best is None or (p, -statistic) < best[0]:
@@ -101,82 +89,72 @@ def find_places(
     return tuple(places)
 
 
-def _looks(linear: LinearSystem) -> list[_Look]:
+def _looks(linear: LinearSystem) -> Iterator[_Look]:
     rows, readings = linear.rows, linear.readings
     label = readings.installation[rows.reading]
     series = readings.series[rows.reading]
     mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(series, label, strict=True)])
     oriented = linear.setting >= 0
-    looks: list[_Look] = []
     for c, channel in enumerate(CHANNELS):
         own = oriented & (rows.channel == c)
         for mount in dict.fromkeys(mounts[own].tolist()):
-            looks += _in_mount(linear, own & (mounts == mount), channel, mount)
-        looks += _over_run(linear, own, channel)
+            yield from _in_mount(linear, own & (mounts == mount), channel, mount)
+        yield from _over_run(linear, own, channel)
     modulus = rows.channel == MODULUS
     if modulus.any():
-        looks.append(_Look("modulus", "V", "constant", modulus[:, None].astype(np.float64)))
-        for row in np.flatnonzero(modulus).tolist():
-            looks.append(_Look("modulus", str(label[row]), _point_of(linear, row), _single(linear, row)))
-    for row in np.flatnonzero(linear.setting < 0).tolist():
-        if rows.channel[row] != MODULUS:
-            name = CHANNELS[rows.channel[row]]
-            looks.append(_Look(name, str(label[row]), _point_of(linear, row), _single(linear, row)))
-    return looks
+        yield _Look("modulus", "V", "constant", _rows(modulus))
+        yield from (
+            _single(linear, row, "modulus", str(label[row])) for row in np.flatnonzero(modulus).tolist()
+        )
+    for row in np.flatnonzero((linear.setting < 0) & ~modulus).tolist():
+        yield _single(linear, row, CHANNELS[rows.channel[row]], str(label[row]))
 
 
-def _single(linear: LinearSystem, row: int) -> Floats:
-    column = np.zeros((len(linear), 1))
-    column[row] = 1.0
-    return column
+def _rows(of: Mask) -> Floats:
+    """Return a column (N, 1) with the same in each of these rows."""
+    return of[:, None].astype(np.float64)
 
 
-def _point_of(linear: LinearSystem, row: int) -> str:
-    reading = linear.rows.reading[row]
-    readings = linear.readings
-    return f"single reading: pass {readings.pass_number[reading]}, point {readings.point[reading]}"
+def _single(linear: LinearSystem, row: int, channel: str, mount: str) -> _Look:
+    readings, reading = linear.readings, linear.rows.reading[row]
+    pattern = f"single reading: pass {readings.pass_number[reading]}, point {readings.point[reading]}"
+    return _Look(channel, mount, pattern, _rows(np.arange(len(linear)) == row))
 
 
-def _in_mount(linear: LinearSystem, own: NDArray[np.bool_], channel: str, mount: str) -> list[_Look]:
+def _in_mount(linear: LinearSystem, own: Mask, channel: str, mount: str) -> Iterator[_Look]:
     readings, reading = linear.readings, linear.rows.reading
     angle = readings.angle_rad[reading]
     passes = readings.pass_number[reading]
     direction = readings.direction[reading]
-    looks = [_Look(channel, mount, HARMONICS[0], own[:, None].astype(np.float64))]
+    look = partial(_Look, channel, mount)
+    yield look(HARMONICS[0], _rows(own))
     for k in (1, 2, 3, 4):
         wave = np.column_stack([np.cos(k * angle), np.sin(k * angle)])
-        looks.append(_Look(channel, mount, HARMONICS[k], np.where(own[:, None], np.nan_to_num(wave), 0.0)))
+        yield look(HARMONICS[k], np.where(own[:, None], np.nan_to_num(wave), 0.0))
     numbers = sorted(set(passes[own].tolist()))
     if len(numbers) > 1:
-        for number in numbers:
-            mine = (own & (passes == number)).astype(np.float64)
-            looks.append(_Look(channel, mount, f"pass {number}", mine[:, None]))
+        yield from (look(f"pass {number}", _rows(own & (passes == number))) for number in numbers)
     if len(set(direction[own].tolist())) > 1:
-        side = np.where(own, direction, 0.0)
-        looks.append(_Look(channel, mount, "direction of approach", side[:, None].astype(np.float64)))
+        yield look("direction of approach", np.where(own, direction, 0.0)[:, None])
         wave = np.column_stack([np.cos(angle), np.sin(angle)])
         turned = np.where(own[:, None], np.nan_to_num(wave) * direction[:, None], 0.0)
-        looks.append(_Look(channel, mount, "direction of approach, once per turn", turned))
-    looks += [
-        _Look(channel, mount, _point_of(linear, row), _single(linear, row))
-        for row in np.flatnonzero(own).tolist()
-    ]
-    return looks
+        yield look("direction of approach, once per turn", turned)
+    yield from (_single(linear, row, channel, mount) for row in np.flatnonzero(own).tolist())
 
 
-def _over_run(linear: LinearSystem, own: NDArray[np.bool_], channel: str) -> list[_Look]:
+def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:
     readings, reading = linear.readings, linear.rows.reading
-    looks = []
+    look = partial(_Look, channel, "all")
+    signal = readings.signal[reading, np.minimum(linear.rows.channel, 2)]
     for pattern, values in (("time", readings.time_s), ("temperature", readings.temperature_c)):
         at = values[reading]
         if np.all(np.isfinite(at[own])) and np.ptp(at[own]) > 0:
             run = np.where(own, (at - np.mean(at[own])) / np.ptp(at[own]), 0.0)
-            looks.append(_Look(channel, "all", f"{pattern}, bias", run[:, None]))
-            scale = run * readings.signal[reading, np.minimum(linear.rows.channel, 2)]
+            yield look(f"{pattern}, bias", run[:, None])
+            scale = run * signal
             scale = scale / max(float(np.max(np.abs(scale))), 1e-300)
-            looks.append(_Look(channel, "all", f"{pattern}, scale factor", scale[:, None]))
+            yield look(f"{pattern}, scale factor", scale[:, None])
     if readings.unit == "V":
-        low = own & (np.abs(readings.signal[reading, np.minimum(linear.rows.channel, 2)]) < LOW_RANGE_V)
+        low = own & (np.abs(signal) < LOW_RANGE_V)
         if low.any() and (own & ~low).any():
-            looks.append(_Look(channel, "all", "signals below 1.2 V", low[:, None].astype(np.float64)))
-    return looks
+            yield look("signals below 1.2 V", _rows(low))

@@ -13,16 +13,13 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats
+from bench.analysis.calibration.verification import COVERAGE_FACTOR
+from bench.base.arrays import Floats, Mask, u_of
 from bench.model.block import COEFFICIENTS
 
-Flags = NDArray[np.bool_]
-
-COVERAGE: Final = 2.0
 CHANGED_P: Final = 0.05
 """A coefficient changed when chance alone would show any change so large, in all looks, less often than this."""
 JOINT_P: Final = 0.01
@@ -75,7 +72,7 @@ class Changes:
     p: float
 
     @property
-    def changed(self) -> Flags:
+    def changed(self) -> Mask:
         """Which coefficients changed beyond their uncertainty, shape (12,)."""
         return self.p_all_looks < CHANGED_P
 
@@ -96,7 +93,7 @@ class Drift:
     p: float
 
     @property
-    def shown(self) -> Flags:
+    def shown(self) -> Mask:
         """Which coefficients drift, shape (12,)."""
         return self.p_all_looks < CHANGED_P
 
@@ -143,8 +140,8 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
         raise CalibrationError("a comparison needs two calibrations or more; name another run or result")
     units = sorted({snapshot.unit for snapshot in snapshots})
     if len(units) > 1:
-        told = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
-        raise CalibrationError(f"coefficients in different units cannot be compared ({told})")
+        listed = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
+        raise CalibrationError(f"coefficients in different units cannot be compared ({listed})")
     for snapshot in snapshots:
         _require_regular(snapshot)
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
@@ -180,14 +177,14 @@ def holm(p: Floats) -> Floats:
 
 
 def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:
-    en = np.abs(difference) / (COVERAGE * u)
+    en = np.abs(difference) / (COVERAGE_FACTOR * u)
     chi2 = _chi2(difference, first.covariance + later.covariance)
     return Changes(later, difference, u, en, p, chi2, float(special.chdtrc(len(difference), chi2)))
 
 
 def _require_regular(snapshot: Snapshot) -> None:
     """Refuse a result in which a coefficient was fixed, or is a sum of others."""
-    u = np.sqrt(np.diag(snapshot.covariance))
+    u = u_of(snapshot.covariance)
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
             f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
@@ -197,7 +194,7 @@ def _require_regular(snapshot: Snapshot) -> None:
 
 def _chi2(difference: Floats, covariance: Floats) -> float:
     """Quadratic form, on correlations so that coefficients of different units are alike."""
-    u = np.sqrt(np.diag(covariance))
+    u = u_of(covariance)
     scaled = difference / u
     return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
 
@@ -226,7 +223,7 @@ def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> Drift:
     line = covariance @ right
     left = [s.vector - d @ line for d, s in zip(designs, snapshots, strict=True)]
     chi2 = sum(_chi2(gap, s.covariance) for gap, s in zip(left, snapshots, strict=True))
-    slope, u = line[count:], np.sqrt(np.diag(covariance))[count:]
+    slope, u = line[count:], u_of(covariance)[count:]
     dof = count * (len(snapshots) - 2)
     p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
     return Drift(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))
@@ -254,9 +251,9 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
         notes.append("some of these were found on simulated instruments, some on real ones")
     others = sorted({s.g_m_s2 for s in snapshots if s.g_m_s2 != snapshots[0].g_m_s2})
     if others:
-        told = ", ".join(f"{g:.6g}" for g in others)
+        listed = ", ".join(f"{g:.6g}" for g in others)
         notes.append(
-            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {told} elsewhere): scale factors are "
+            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale factors are "
             "converted to the gravity of the first, so that they are compared per m/s²"
         )
     notes.append(

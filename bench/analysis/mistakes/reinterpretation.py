@@ -6,28 +6,17 @@ installation it was, which stop a reading belongs to) in the whole run, one moun
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, Labels, Mask
 from bench.model import Mounting
-from bench.readings.table import REFERENCE, UNORIENTED, VERIFICATION, Readings
-
-OTHER_MOUNTING: Final = "other_mounting"
-"""No mistake of its own here, since a table cannot say how else the block sat; a mistake may look like it."""
-
-_ORDERS: Final[Mapping[str, tuple[int, int, int]]] = {
-    "x and y": (1, 0, 2),
-    "x and z": (2, 1, 0),
-    "y and z": (0, 2, 1),
-    "x, y and z (x shows y, y shows z, z shows x)": (2, 0, 1),
-    "x, y and z (x shows z, y shows x, z shows y)": (1, 2, 0),
-}
-"""Channels exchanged, and for each true signal the channel that shows it."""
+from bench.readings.mistaken import EXCHANGED, REVERSED, RIGHT, MistakeName, Wiring
+from bench.readings.table import REFERENCE, Readings
 
 SAME_STOP: Final = np.radians(0.5)
 
@@ -47,11 +36,10 @@ class Oriented:
     @classmethod
     def of(cls, readings: Readings) -> Oriented:
         """Take the oriented rows of a table."""
-        rows = np.flatnonzero(~np.isin(readings.installation, [VERIFICATION, *UNORIENTED]))
-        chosen = readings.select(np.isin(np.arange(len(readings)), rows))
+        chosen = readings.oriented()
         conditions = chosen.conditions()
         return cls(
-            rows,
+            np.flatnonzero(readings.is_oriented),
             conditions.mounts,
             conditions.mount,
             chosen.pass_number,
@@ -93,31 +81,23 @@ class Scope:
 class Reinterpretation:
     """A supposition. What is left at its default stays as recorded.
 
-    `signs` multiplies the three signals after `order` has put them right; `label` (n,) are the true
-    installations, `angle_rad` (n,) the true angles; `source` (n,) names for each row that whose signals belong
-    to it, -1 for none.
+    `label` (n,) are the true installations, `angle_rad` (n,) the true angles; `source` (n,) names for each row
+    that whose signals belong to it, -1 for none; `turns` are what the block was turned by, by installation.
     """
 
     name: str
     scope: Scope
     words: str
-    channels: tuple[str, ...] = ()
-    order: tuple[int, int, int] = (0, 1, 2)
-    signs: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    wiring: Wiring = RIGHT
     label: Labels | None = None
     angle_rad: Floats | None = None
     source: Ints | None = None
     turns: Mapping[str, Floats] = field(default_factory=dict)
 
-    @property
-    def matrix(self) -> Floats:
-        """What makes a triple of signals right, (3, 3)."""
-        return np.diag(self.signs) @ np.eye(3)[list(self.order)]
-
     def signal(self, table: Oriented) -> Floats:
         """Return the signals (n, 3) that belong to the rows; where there is none, those recorded."""
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
-        return np.where(self.scope.mask[:, None], moved @ self.matrix.T, moved)
+        return np.where(self.scope.mask[:, None], moved @ self.wiring.matrix.T, moved)
 
     def correct(self, readings: Readings, table: Oriented) -> Readings:
         """Return a copy of the whole table (from which `table` was taken) put right.
@@ -136,12 +116,13 @@ class Reinterpretation:
             samples[table.rows] = readings.samples[taken]
         wired = np.concatenate([inside, others])
         kept = readings.installation[wired] == REFERENCE
-        sign = np.where(kept[:, None], 1.0, np.array(self.signs))
-        signal[wired] = signal[wired][:, list(self.order)] * sign
-        spread[wired] = spread[wired][:, list(self.order)]
+        sign = np.where(kept[:, None], 1.0, np.array(self.wiring.signs))
+        order = list(self.wiring.order)
+        signal[wired] = signal[wired][:, order] * sign
+        spread[wired] = spread[wired][:, order]
         if self.angle_rad is not None:
             angle[table.rows] = self.angle_rad
-        if self.name == "reversed_rotation":
+        if self.name == MistakeName.REVERSED_ROTATION:
             angle[others] = -angle[others]
             target[wired], direction[wired] = -target[wired], -direction[wired]
         installation = readings.installation.astype(object)
@@ -190,26 +171,24 @@ def _scopes(table: Oriented) -> list[Scope]:
 
 
 def _swapped_channels(_: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
-    for told, order in _ORDERS.items():
-        channels = tuple("xyz"[i] for i in range(3) if order[i] != i)
-        words = f"the channels {told} are exchanged {scope}; the copy has their signals put back"
-        yield Reinterpretation("swapped_channels", scope, words, channels, order=order)
+    for wiring in EXCHANGED:
+        *first, last = wiring.channels
+        channels = f"{', '.join(first)} and {last}" + (f" ({wiring.shown})" if len(first) > 1 else "")
+        words = f"the channels {channels} are exchanged {scope}; the copy has their signals put back"
+        yield Reinterpretation(MistakeName.SWAPPED_CHANNELS, scope, words, wiring)
 
 
 def _reversed_polarity(_: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
-    for i, channel in enumerate("xyz"):
-        signs = [1.0, 1.0, 1.0]
-        signs[i] = -1.0
+    for wiring in REVERSED:
+        (channel,) = wiring.channels
         words = f"channel {channel} has the wrong sign {scope}, as with its wires reversed; the copy has it turned"
-        yield Reinterpretation(
-            "reversed_polarity", scope, words, (channel,), signs=(signs[0], signs[1], signs[2])
-        )
+        yield Reinterpretation(MistakeName.REVERSED_POLARITY, scope, words, wiring)
 
 
 def _reversed_rotation(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
     angle = np.where(scope.mask, -table.angle_rad, table.angle_rad)
     words = f"the head counts the other way {scope}; the copy has its angles negated"
-    yield Reinterpretation("reversed_rotation", scope, words, angle_rad=angle)
+    yield Reinterpretation(MistakeName.REVERSED_ROTATION, scope, words, angle_rad=angle)
 
 
 def _other_label(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
@@ -221,7 +200,7 @@ def _other_label(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
         if other != own:
             label = np.where(scope.mask, other, table.label)
             words = f"the block sat in installation {other} and not {scope}; the copy says so"
-            yield Reinterpretation("swapped_installations", scope, words, label=label)
+            yield Reinterpretation(MistakeName.SWAPPED_INSTALLATIONS, scope, words, label=label)
 
 
 def _swapped_installations(table: Oriented) -> list[Reinterpretation]:
@@ -235,10 +214,10 @@ def _swapped_installations(table: Oriented) -> list[Reinterpretation]:
             mask = pair if number is None else pair & (table.pass_number == number)
             mounts = tuple(sorted(table.mounts[i] for i in np.unique(table.mount[mask])))
             scope = Scope(mask, mounts, number)
-            told = "" if number is None else f" in pass {number}"
-            words = f"installations {one} and {other} are exchanged{told}; the copy has them put back"
+            where = "" if number is None else f" in pass {number}"
+            words = f"installations {one} and {other} are exchanged{where}; the copy has them put back"
             label = np.where(mask, exchanged, table.label)
-            found.append(Reinterpretation("swapped_installations", scope, words, label=label))
+            found.append(Reinterpretation(MistakeName.SWAPPED_INSTALLATIONS, scope, words, label=label))
     return found
 
 
@@ -247,19 +226,19 @@ def _shifted(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
     by_pass = [table.mount * (table.pass_number.max() + 1) + table.pass_number]
     through = [] if scope.pass_number is not None else [table.mount]
     for runs in by_pass + through:
-        for step, told in ((1, "late"), (-1, "early")):
+        for step, when in ((1, "late"), (-1, "early")):
             source = _rows_aside(runs, scope.mask, step)
             words = (
-                f"the readings stand one stop too {told} {scope}; the copy has them moved back, without the "
+                f"the readings stand one stop too {when} {scope}; the copy has them moved back, without the "
                 "stop that has none"
             )
-            yield Reinterpretation("shifted_points", scope, words, source=source)
+            yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, source=source)
     stop = _stop_rad(table, scope.mask)
     if stop is not None:
-        for off, told in ((-stop, "behind"), (stop, "ahead")):
-            words = f"the head stood one stop {told} {scope}; the copy has its angles put right"
+        for off, where in ((-stop, "behind"), (stop, "ahead")):
+            words = f"the head stood one stop {where} {scope}; the copy has its angles put right"
             angle = np.where(scope.mask, table.angle_rad + off, table.angle_rad)
-            yield Reinterpretation("shifted_points", scope, words, angle_rad=angle)
+            yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, angle_rad=angle)
 
 
 def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
@@ -296,19 +275,18 @@ def _stop_rad(table: Oriented, mask: Mask) -> Floats | None:
 
 
 def other_mountings(table: Oriented) -> list[Reinterpretation]:
-    """Return, for each installation, the 23 ways in which the block may sit otherwise (see `OTHER_MOUNTING`)."""
+    """Return, for each installation, the 23 ways in which the block may sit otherwise ."""
     found = []
     for label in table.labels:
         mask = table.label == label
         scope = Scope(mask, tuple(mount for mount in table.mounts if mount.installation == label))
         for turn in _rotations():
-            found.append(Reinterpretation(OTHER_MOUNTING, scope, "", turns={label: turn}))
+            found.append(Reinterpretation(MistakeName.OTHER_MOUNTING, scope, "", turns={label: turn}))
     return found
 
 
-def _rotations() -> Sequence[Floats]:
+def _rotations() -> list[Floats]:
     """The 23 turns of a cube other than none."""
-    orders = [(0, 1, 2), *_ORDERS.values()]
-    signs = [np.array([a, b, c]) for a in (1.0, -1.0) for b in (1.0, -1.0) for c in (1.0, -1.0)]
-    turns = [np.diag(sign) @ np.eye(3)[list(order)] for order in orders for sign in signs]
+    signs = list(product((1.0, -1.0), repeat=3))
+    turns = [np.diag(sign) @ wiring.matrix for wiring in (RIGHT, *EXCHANGED) for sign in signs]
     return [turn for turn in turns if np.linalg.det(turn) > 0 and not np.allclose(turn, np.eye(3))]

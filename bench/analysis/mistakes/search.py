@@ -18,10 +18,11 @@ from bench.analysis.calibration.design import Problem, make_problem
 from bench.analysis.calibration.gls import noise_floor
 from bench.analysis.mistakes.describing import Description, Situation, descriptions, examine, situation, weigh
 from bench.analysis.mistakes.gross import GrossMistake, GrossSearch
-from bench.analysis.mistakes.reinterpretation import OTHER_MOUNTING, Oriented
+from bench.analysis.mistakes.reinterpretation import Oriented
 from bench.analysis.mistakes.single_readings import SingleMistake, find_single
 from bench.base.arrays import Floats
 from bench.model import Block, ForwardModel
+from bench.readings.mistaken import MistakeName
 from bench.readings.table import Readings
 
 MOST: Final = 5
@@ -54,7 +55,7 @@ class Mistake:
     words: str
     p: float
     cannot_tell_from: tuple[str, ...]
-    evidence: Evidence
+    evidence: Evidence = Evidence(np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -96,14 +97,14 @@ def find_mistakes(
         looks += more
         if gross is None:
             break
-        found.append(_told_gross(gross))
+        found.append(_gross_mistake(gross))
         copies.append(gross.supposition.correct(copies[-1], table))
     for _ in range(MOST):
         view = stage.view(copies[-1])
         singles, looks = find_single(view.problem, view.block, view.situation, looks, significance)
         if not singles:
             break
-        found += [_told_single(view, single) for single in singles]
+        found += [_single_mistake(view, single) for single in singles]
         before = copies[-1]
         copies += [_put_right(before, view, singles[: k + 1]) for k in range(len(singles))]
     return MistakeSearch(_with_evidence(stage, found, copies), copies[-1], looks)
@@ -142,44 +143,44 @@ class _Stage:
         table = Oriented.of(readings)
         problem = make_problem(self.model, readings.oriented().conditions(), self.stand_u)
         block, sheet = self.gross.first_guess(table)
-        floor = noise_floor(problem, table.signal, readings.resolution)
+        floor = noise_floor(table.signal, readings.resolution, problem.free)
         return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
 
 
-def _told_gross(gross: GrossMistake) -> Mistake:
+def _gross_mistake(gross: GrossMistake) -> Mistake:
     supposition = gross.supposition
     names = dict.fromkeys(other.name for other in gross.equal if other.name != supposition.name)
     elsewhere = [other for other in gross.equal if other.name == supposition.name]
-    also = [f"{name} (the block sat otherwise)" if name == OTHER_MOUNTING else name for name in names]
+    also = [
+        f"{name} (the block sat otherwise)" if name == MistakeName.OTHER_MOUNTING else name for name in names
+    ]
     also += [f"the same {other.scope}" for other in elsewhere]
     alike = f"; these readings cannot tell it from {', '.join(dict.fromkeys(also))}" if also else ""
     return Mistake(
         name=supposition.name,
-        channels=supposition.channels,
+        channels=supposition.wiring.channels,
         installations=tuple(str(mount) for mount in supposition.scope.mounts),
         pass_number=supposition.scope.pass_number,
         point=None,
         words=supposition.words + alike,
         p=gross.p,
         cannot_tell_from=tuple(names),
-        evidence=Evidence(np.nan, np.nan),
     )
 
 
-def _told_single(view: _FirstGuess, single: SingleMistake) -> Mistake:
+def _single_mistake(view: _FirstGuess, single: SingleMistake) -> Mistake:
     conditions = view.problem.conditions
     mount = str(conditions.mounts[conditions.mount[single.row]])
     number, point = int(conditions.pass_number[single.row]), int(conditions.point[single.row])
     return Mistake(
-        name="outlier" if single.off_rad is None else "wrong_setting",
+        name=MistakeName.OUTLIER if single.off_rad is None else MistakeName.WRONG_SETTING,
         channels=single.channels,
         installations=(mount,),
         pass_number=number,
         point=point,
         words=f"installation {mount}, pass {number}, point {point}: {_single_words(view, single)}",
         p=single.p,
-        cannot_tell_from=("outlier",) if single.as_outlier and single.off_rad is not None else (),
-        evidence=Evidence(np.nan, np.nan),
+        cannot_tell_from=(MistakeName.OUTLIER,) if single.as_outlier and single.off_rad is not None else (),
     )
 
 
@@ -212,7 +213,7 @@ def _put_right(readings: Readings, view: _FirstGuess, singles: Sequence[SingleMi
         row = view.table.rows[single.row]
         if single.off_rad is None:
             kept[row] = False
-            skipped.append(_told_single(view, single).words.split(";")[0])
+            skipped.append(_single_mistake(view, single).words.split(";")[0])
         else:
             angle[row] += single.off_rad
     return replace(readings, angle_rad=angle, skipped=tuple(skipped)).select(kept)

@@ -22,6 +22,7 @@ from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.noise import whiten
 from bench.analysis.calibration.result import Noise
 from bench.analysis.mistakes.describing import (
+    NEAR_DEG,
     Description,
     Descriptions,
     Examination,
@@ -33,10 +34,16 @@ from bench.analysis.mistakes.describing import (
     finish,
     weigh,
 )
-from bench.base.arrays import Floats
+from bench.base.arrays import CHANNELS, Floats
 from bench.model import Block
+from bench.readings import mistaken
 
-SLIPS_RAD: Final = tuple(sign * float(np.radians(s)) for s in (1.0, 1 / 6, 1 / 60) for sign in (1, -1))
+SLIPS_RAD: Final = tuple(
+    sign * slip
+    for slip in mistaken.SLIPS_RAD.values()
+    if slip < np.radians(NEAR_DEG)  # further off, nothing is known to be a repeat of it
+    for sign in (1, -1)
+)
 """A setting off by 1°, 10′ or 1′; beside them the angle counted backwards, 360° - φ."""
 REFLECTED_RAD: Final = float(np.radians(0.5))
 """A reflection that moves the head by less is none."""
@@ -236,8 +243,7 @@ def _slips(problem: Problem, block: Block) -> list[tuple[Floats, Floats]]:
     """Return, for each kind of wrong setting, by how much the head (n,) and the signals (n, 3) are off."""
     angle = problem.conditions.angle_rad
     offs = [np.full(len(angle), off) for off in SLIPS_RAD]
-    # 360° - φ instead of φ, by the shorter way
-    offs.append(np.remainder(-2 * angle + np.pi, 2 * np.pi) - np.pi)
+    offs.append(mistaken.reflected_rad(angle))
     here = problem.predict(block, problem.prior_mean)
     slips = []
     for off in offs:
@@ -274,12 +280,10 @@ def _classify(
         if chi2 < least:
             off, least = float(offs[row]), chi2
     as_outlier = len(channels) == 1 and outlier_p > EXPLAINED
-    told = (
-        channels
-        if off is None
-        else tuple("xyz"[i] for i in range(3) if abs(raw[i]) > SLIP_PART * np.max(np.abs(raw)))
-    )
-    return SingleMistake(row, told, off, as_outlier, raw, min(looks * p, 1.0), sigma)
+    if off is not None:
+        moved_by = zip(CHANNELS, np.abs(raw), strict=True)
+        channels = tuple(c for c, size in moved_by if size > SLIP_PART * np.max(np.abs(raw)))
+    return SingleMistake(row, channels, off, as_outlier, raw, min(looks * p, 1.0), sigma)
 
 
 def _outlier(shift: Floats, precision: Floats, ways: Floats) -> tuple[tuple[str, ...], float]:

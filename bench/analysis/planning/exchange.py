@@ -51,8 +51,7 @@ class SettingPool:
     @cached_property
     def information(self) -> Floats:
         """What one visit to each candidate adds, shape (c, p, p)."""
-        added: Floats = np.einsum("cip,ciq->cpq", self.rows, self.rows)
-        return added
+        return np.asarray(np.einsum("cip,ciq->cpq", self.rows, self.rows))
 
 
 class ExchangeDesign:
@@ -80,8 +79,7 @@ class ExchangeDesign:
         weight = self.counts if counts is None else counts
         information = self._prior + np.tensordot(weight.astype(np.float64), self._information_of, axes=1)
         scale = 1 / np.sqrt(np.diag(information))
-        inverse: Floats = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-        return inverse
+        return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
 
     @property
     def coefficient_covariance(self) -> Floats:
@@ -143,8 +141,7 @@ class ExchangeDesign:
         each = np.einsum(
             "ki,ij,kj->k", self._functionals, covariance[:FIXED, :FIXED], self._functionals, optimize=True
         )
-        variances: Floats = np.bincount(self._goal, each) + self._floor
-        return variances
+        return np.asarray(np.bincount(self._goal, each) + self._floor)
 
     def _after(self, covariance: Floats, sign: float, power: float) -> Floats:
         """Return the score after one visit more (+1) or less (-1) of each candidate, by Woodbury's identity."""

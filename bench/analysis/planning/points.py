@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.budget import Setup, make_budget
+from bench.analysis.budget.coefficients import make_budget
+from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.design import FIXED, make_problem
 from bench.analysis.calibration.estimators import GLS
@@ -26,7 +27,7 @@ from bench.analysis.planning.exchange import (
 )
 from bench.analysis.planning.goals import Goal, worst
 from bench.analysis.planning.settings import Cost, Setting, conditions_of
-from bench.base.arrays import Floats
+from bench.base.arrays import HOUR, Floats
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mounting
 
 _ROUNDS: Final = 4
@@ -271,7 +272,7 @@ def _too_short(time_s: float, least_s: float) -> str:
     if math.isinf(least_s):
         return "no choice of these installations determines the coefficients; allow more of them, or more mountings"
     return (
-        f"{time_s / 3600:.3g} h are too short for a calibration: the shortest takes {least_s / 3600:.3g} h, "
+        f"{time_s / HOUR:.3g} h are too short for a calibration: the shortest takes {least_s / HOUR:.3g} h, "
         "warm-up and verification points included"
     )
 
@@ -284,16 +285,16 @@ def _unreachable(sites: Sites, goals: Sequence[Goal], most_settings: int, most_m
     if not limits:
         return _too_short(0.0, math.inf)
     ratio, chosen = min(limits)
-    told = ", ".join(str(sites.mounts[m]) for m in chosen)
+    names = ", ".join(str(sites.mounts[m]) for m in chosen)
     if ratio <= 1:
         return (
-            f"not reached with {most_settings} settings, though installations {told} could with more; "
+            f"not reached with {most_settings} settings, though installations {names} could with more; "
             "allow more with --most-settings, or more samples a reading (a smaller voltmeter_error)"
         )
     return (
-        f"cannot be reached by any number of settings: in the best choice of mountings ({told}) the stand's errors "
-        f"alone leave {ratio:.3g} times what is asked; smaller stand errors, more installations or more --visits "
-        "would help"
+        f"cannot be reached by any number of settings: in the best choice of mountings ({names}) the stand's "
+        f"errors alone leave {ratio:.3g} times what is asked; smaller stand errors, more installations or more "
+        "--visits would help"
     )
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from bench.analysis.planning.points import passes
 from bench.analysis.planning.settings import Cost
+from bench.base.arrays import HOUR
+from bench.base.words import APPROACH, exact_degrees, exact_duration
 from bench.model import Mounting
 from bench.procedure.plan import Plan, Read
 from bench.readings.table import VERIFICATION
@@ -19,8 +20,6 @@ NPLC: Final = 10.0
 SETTLE_S: Final = 10.0
 """A reading as the shipped procedures take it."""
 
-_WORDS: Final = {1: "rising", -1: "falling"}
-
 
 @dataclass(frozen=True)
 class Times:
@@ -29,7 +28,7 @@ class Times:
     turn_s: float = 120.0
     mount_s: float = 1200.0
     soak_s: float = 600.0
-    warm_up_s: float = 3600.0
+    warm_up_s: float = HOUR
 
     def cost(self, line_hz: float, *, verified: bool) -> Cost:
         """Return what settings and mountings cost; `verified` adds the verification points at the end."""
@@ -41,12 +40,7 @@ class Times:
 
 
 def procedure_text(
-    name: str,
-    remarks: str,
-    visits: Mapping[Mounting, Mapping[float, int]],
-    times: Times,
-    *,
-    verified: bool,
+    name: str, remarks: str, visits: Mapping[Mounting, Mapping[float, int]], times: Times, *, verified: bool
 ) -> str:
     """Return the text of a procedure file: `remarks` as comments, warm-up, each mounting, verification points.
 
@@ -57,30 +51,32 @@ def procedure_text(
         f"procedure: {name}",
         "title: Test points chosen by bench plan-points",
         "",
-        f"reading: {{samples: {SAMPLES}, nplc: {NPLC:g}, settle: {_time(SETTLE_S)}}}",
+        f"reading: {{samples: {SAMPLES}, nplc: {NPLC:g}, settle: {exact_duration(SETTLE_S)}}}",
         "",
         "# For the estimate of the time only.",
-        f"operator_time: {{turn: {_time(times.turn_s)}, mount: {_time(times.mount_s)}}}",
+        f"operator_time: {{turn: {exact_duration(times.turn_s)}, mount: {exact_duration(times.mount_s)}}}",
         "",
         "steps:",
     ]
     if times.warm_up_s:
-        lines.append(f"  - wait: {{for: {_time(times.warm_up_s)}, reason: warm-up of block and voltmeters}}")
+        lines.append(
+            f"  - wait: {{for: {exact_duration(times.warm_up_s)}, reason: warm-up of block and voltmeters}}"
+        )
     for mount, angles in visits.items():
         lines += ["", *_installation(mount.installation, times)]
         for group in passes(angles):
-            words = ", ".join(_WORDS[direction] for direction in group.directions)
-            told = ", ".join(f"{_degrees(angle)} deg" for angle in group.angle_rad)
+            words = ", ".join(APPROACH[direction] for direction in group.directions)
+            angles_text = ", ".join(exact_degrees(angle) for angle in group.angle_rad)
             first = f", first_point: {group.first_point}" if group.first_point > 1 else ""
             lines += [
                 "        - repeat:",
                 f"            directions: [{words}]",
                 "            steps:",
-                f"              - turn: {{angles: [{told}]{first}}}",
+                f"              - turn: {{angles: [{angles_text}]{first}}}",
             ]
     if verified:
-        told = ", ".join(f"{angle} deg" for angle in VERIFICATION_DEG)
-        lines += ["", *_installation(VERIFICATION, times), f"        - turn: {{angles: [{told}]}}"]
+        angles_text = ", ".join(f"{angle} deg" for angle in VERIFICATION_DEG)
+        lines += ["", *_installation(VERIFICATION, times), f"        - turn: {{angles: [{angles_text}]}}"]
     return "\n".join(lines) + "\n"
 
 
@@ -88,17 +84,6 @@ def _installation(label: str, times: Times) -> list[str]:
     lines = ["  - installation:", f"      label: {label}", "      steps:"]
     if times.soak_s:
         lines.append(
-            f"        - wait: {{for: {_time(times.soak_s)}, reason: the block settles after mounting}}"
+            f"        - wait: {{for: {exact_duration(times.soak_s)}, reason: the block settles after mounting}}"
         )
     return lines
-
-
-def _time(seconds: float) -> str:
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds and seconds % size == 0:
-            return f"{seconds / size:g} {unit}"
-    return f"{seconds!r} s" if seconds % 1 else f"{seconds:.0f} s"
-
-
-def _degrees(angle_rad: float) -> str:
-    return f"{math.degrees(angle_rad):.9g}"

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.calibration.design import make_problem
-from bench.analysis.calibration.null_space import DirectionKind, told_axis
+from bench.analysis.calibration.null_space import DirectionKind, axis_in_words
 from bench.analysis.calibration.observability import Observability, observability, with_angles
 from bench.analysis.planning.settings import Cost, Setting, conditions_of, fitted, verifying
 from bench.model import Block, ForwardModel, Installation, Mounting
@@ -52,7 +52,7 @@ class Outlook:
     @property
     def turns(self) -> list[str]:
         """Axes about which the block's axes may turn together: a convention, which no mounting shows."""
-        return [told_axis(d.axis) for d in self.found.directions if d.kind is DirectionKind.TURN]
+        return [axis_in_words(d.axis) for d in self.found.directions if d.kind is DirectionKind.TURN]
 
     @property
     def open(self) -> list[str]:

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
 
 from bench.analysis.stability.allan import AllanCurve
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, Mask, u_of
 
 
 @dataclass(frozen=True)
@@ -68,20 +67,20 @@ class NoiseTerms:
         return np.sqrt(np.maximum(self.squares, 0.0))
 
     @property
-    def shown(self) -> NDArray[np.bool_]:
+    def shown(self) -> Mask:
         """Which terms the record shows, shape (5,)."""
-        return self.squares > SHOWN * np.sqrt(np.diag(self.covariance))
+        return self.squares > SHOWN * u_of(self.covariance)
 
     @property
     def u(self) -> Floats:
         """Standard uncertainties of the terms shown, NaN for the others, shape (5,)."""
         value = np.where(self.shown, self.values, np.nan)
-        return np.asarray(np.sqrt(np.diag(self.covariance)) / (2.0 * value), dtype=np.float64)
+        return np.asarray(u_of(self.covariance) / (2.0 * value), dtype=np.float64)
 
     @property
     def upper(self) -> Floats:
         """Upper limits of the terms at about 97.5 %, shape (5,)."""
-        return np.asarray(np.sqrt(self.squares + 2.0 * np.sqrt(np.diag(self.covariance))), dtype=np.float64)
+        return np.asarray(np.sqrt(self.squares + 2.0 * u_of(self.covariance)), dtype=np.float64)
 
     def deviation(self, tau_s: Floats | float) -> Floats:
         """Return the Allan deviation that the terms make at averaging times (…)."""

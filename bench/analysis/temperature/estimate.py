@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.calibrate import usable_rows
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
+from bench.analysis.calibration.gls import noise_floor
 from bench.analysis.calibration.result import CalibrationError, LackOfFit
-from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judge, least_noise, row_outputs
+from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judge, row_outputs
 from bench.analysis.temperature.model import PlateauResult, TemperatureModel, ThermalHysteresis
 from bench.analysis.temperature.plateaus import Plateau, ThermalReadings, sort_readings
 from bench.analysis.temperature.selection import DegreeChoice, choose_degrees
-from bench.base.arrays import Floats, Mask
+from bench.base.arrays import Floats, Ints, Mask, rms, u_of
 from bench.model.forward import ForwardModel
 from bench.readings.table import Readings
 
@@ -32,7 +32,7 @@ class _Body:
 
     sorted: ThermalReadings
     problem: Problem
-    repeats: NDArray[np.int64]
+    repeats: Ints
     floor: float
     reference_c: float
     scale_k: float
@@ -142,7 +142,7 @@ def _body(
         found,
         make_problem(model, conditions, stand_u),
         repeats.ravel(),
-        least_noise(rows.signal, rows.resolution),
+        noise_floor(rows.signal, rows.resolution),
         reference_c,
         max(high - reference_c, reference_c - low),
     )
@@ -218,7 +218,7 @@ def _plateaus(
     wandered = row_outputs((basis - at_mean) @ best.values.T, force)
     task = body.task(each)
     free = fit(replace(task, signal=task.signal - wandered), best.noise)
-    u = np.sqrt(np.diag(free.covariance)).reshape(FIXED, len(found))
+    u = u_of(free.covariance).reshape(FIXED, len(found))
     results = [_plateau(p, free.values[:, k], u[:, k]) for k, p in enumerate(found)]
     return tuple(results), free
 
@@ -239,10 +239,10 @@ def _curve(best: ThermalFit, free: ThermalFit) -> LackOfFit:
     """Compare the polynomials with coefficients free at each plateau (F test of the two fits)."""
     dof = free.terms.size - int(best.terms.sum())
     chi2 = max(best.misfit - free.misfit, 0.0)
-    rms = float(np.sqrt(np.mean((best.residuals - free.residuals) ** 2)))
+    size = rms(best.residuals - free.residuals)
     if dof <= 0:
-        return LackOfFit(rms, float("nan"), 0, float("nan"))
-    return LackOfFit(rms, chi2, dof, float(special.fdtrc(dof, min(best.noise.dof, 1e9), chi2 / dof)))
+        return LackOfFit(size, float("nan"), 0, float("nan"))
+    return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, min(best.noise.dof, 1e9), chi2 / dof)))
 
 
 def _notes(body: _Body, plateaus: tuple[PlateauResult, ...], by_side: bool) -> tuple[str, ...]:

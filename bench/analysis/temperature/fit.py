@@ -15,18 +15,18 @@ import numpy as np
 
 from bench.analysis.calibration.design import STEP_RAD, Problem, coefficient_columns
 from bench.analysis.calibration.gls import (
-    LEAST_NOISE,
     MOST_ITERATIONS,
     NEARLY_STILL,
     STANDS_STILL,
+    System,
     estimate_noise,
     misfit_test,
     solve,
 )
 from bench.analysis.calibration.noise import whiten
 from bench.analysis.calibration.result import LackOfFit, Noise
-from bench.base.arrays import Floats, Ints, Mask
-from bench.model.block import Block
+from bench.base.arrays import Floats, Ints, Mask, u_of
+from bench.model.block import Block, linear_columns
 
 WEAKEST: Final = 1e-3
 """Columns of unit length whose least singular value is below this part of the largest are not determined."""
@@ -81,7 +81,7 @@ class ThermalProblem:
     def determined(self) -> bool:
         """Whether the rows determine all terms, were every coefficient to have all functions of the basis."""
         force = self.force(self.problem.prior_mean)
-        columns = np.column_stack([force, np.ones(len(force))])
+        columns = linear_columns(force)
         whole = (columns[:, :, None] * self.basis[:, None, :]).reshape(len(force), -1)
         if whole.shape[1] > whole.shape[0]:
             return False
@@ -128,35 +128,36 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
     sizes = noise or _estimated_noise(task, values, others)
     moved = np.inf
     for _ in range(MOST_ITERATIONS):
-        slope = task.slope(values, others)
-        jacobian = task.jacobian(values, others)
-        left = task.signal - task.predict(values, others)
-        step, covariance, _ = solve(task.problem, jacobian, left, slope, sizes.widened(), others)
+        system = _linearise(task, values, others)
+        step, covariance, _ = solve(task.problem, system, sizes.widened(), others)
         values[task.terms] += step[:count]
         others = others + step[count:]
-        moved = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
+        moved = float(np.max(np.abs(step) / u_of(covariance)))
         if moved <= STANDS_STILL:
             break
         if noise is None and moved > NEARLY_STILL:
             sizes = _estimated_noise(task, values, others)
     residuals = task.signal - task.predict(values, others)
-    whitened = whiten(residuals[:, :, None], slope, sizes)
+    whitened = whiten(residuals[:, :, None], system.slope, sizes)
     pulls = (others - task.problem.prior_mean) / task.problem.prior_u
     misfit = float(np.sum(whitened**2) + np.sum(pulls**2))
     own = covariance[:count, :count]
-    return ThermalFit(values, task.terms, own, others, sizes, misfit, residuals, slope)
+    return ThermalFit(values, task.terms, own, others, sizes, misfit, residuals, system.slope)
+
+
+def _linearise(task: ThermalProblem, values: Floats, others: Floats) -> System:
+    left = task.signal - task.predict(values, others)
+    return System(left, task.jacobian(values, others), task.slope(values, others))
 
 
 def _estimated_noise(task: ThermalProblem, values: Floats, others: Floats) -> Noise:
-    slope, jacobian = task.slope(values, others), task.jacobian(values, others)
-    left = task.signal - task.predict(values, others)
-    return estimate_noise(task.problem, left, jacobian, slope, task.groups, others, task.floor)
+    system = _linearise(task, values, others)
+    return estimate_noise(task.problem, system, task.groups, others, task.floor)
 
 
 def _first_guess(task: ThermalProblem) -> Floats:
     """Ordinary least squares at the nominal geometry, channel by channel."""
-    force = task.force(task.problem.prior_mean)
-    columns = np.column_stack([force, np.ones(len(force))])
+    columns = linear_columns(task.force(task.problem.prior_mean))
     values = np.zeros(task.terms.shape)
     for channel in range(3):
         own = [*range(3 * channel, 3 * channel + 3), 9 + channel]
@@ -165,11 +166,6 @@ def _first_guess(task: ThermalProblem) -> Floats:
         solution, *_ = np.linalg.lstsq(design, task.signal[:, channel], rcond=None)
         values[np.array(own)[where], function] = solution
     return values
-
-
-def least_noise(signal: Floats, resolution: float) -> float:
-    """Return the least noise believed for readings (n, 3) that are given to `resolution`."""
-    return max(LEAST_NOISE * float(np.max(np.abs(signal))), resolution / float(np.sqrt(12.0)))
 
 
 def judge(task: ThermalProblem, result: ThermalFit) -> LackOfFit:

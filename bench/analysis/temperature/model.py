@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
-from bench.base.arrays import Floats, Ints
+from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise, values_with_u
+from bench.base.arrays import Floats, HasCovariance, Ints, Mask, u_of
+from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 
 
@@ -29,7 +28,7 @@ class PlateauResult:
 
 
 @dataclass(frozen=True)
-class ThermalHysteresis:
+class ThermalHysteresis(HasCovariance):
     """Rising minus falling at the same temperature, `size` (12,) with `covariance` (12, 12).
 
     One size for all temperatures reached from both sides. `p` is that of all twelve together (chi-square),
@@ -40,12 +39,6 @@ class ThermalHysteresis:
     covariance: Floats
     p: float
     p_each: Floats
-
-    @property
-    def u(self) -> Floats:
-        """Standard uncertainties of the sizes, shape (12,)."""
-        root: Floats = np.sqrt(np.diag(self.covariance))
-        return root
 
     @property
     def scatter(self) -> Floats:
@@ -68,8 +61,7 @@ class Compensated:
     @property
     def u(self) -> Floats:
         """Standard uncertainties, g, shape (n, 3)."""
-        root: Floats = np.sqrt(np.einsum("nii->ni", self.covariance))
-        return root
+        return np.asarray(np.sqrt(np.einsum("nii->ni", self.covariance)))
 
 
 @dataclass(frozen=True)
@@ -119,7 +111,7 @@ class TemperatureModel:
         covariance: Floats = spread @ self.covariance @ spread.T
         return covariance if self.hysteresis is None else covariance + self.hysteresis.scatter
 
-    def outside(self, temperature_c: float | Floats) -> NDArray[np.bool_]:
+    def outside(self, temperature_c: float | Floats) -> Mask:
         """Whether temperatures lie outside the valid range: no reading stands behind the polynomial there."""
         t = np.asarray(temperature_c, dtype=np.float64)
         return ~((t >= self.minimum_c) & (t <= self.maximum_c))
@@ -164,7 +156,7 @@ class TemperatureModel:
 
     def to_json(self) -> dict[str, Any]:
         """Return the result; NaN becomes null."""
-        u = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
+        u = u_of(self.covariance).reshape(self.values.shape)
         count = self.values.shape[1]
         return {
             "unit": self.unit,
@@ -207,13 +199,9 @@ def _plateau_json(plateau: PlateauResult) -> dict[str, Any]:
         "readings": plateau.readings,
         "coefficients": None
         if plateau.value is None or plateau.u is None
-        else {
-            name: {"value": float(value), "u": float(u)}
-            for name, value, u in zip(COEFFICIENTS, plateau.value, plateau.u, strict=True)
-        },
+        else values_with_u(plateau.value, plateau.u),
     }
 
 
-def _fit_json(fit: LackOfFit) -> Mapping[str, float | None]:
-    known = {"rms": fit.rms, "chi2": fit.chi2, "dof": fit.dof, "p": fit.p}
-    return {name: float(value) if np.isfinite(value) else None for name, value in known.items()}
+def _fit_json(fit: LackOfFit) -> dict[str, float | None]:
+    return {name: finite_or_none(value) for name, value in asdict(fit).items()}

@@ -53,10 +53,10 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
     """Return a C99 header that needs nothing else: the table and a function that compensates a reading."""
-    told = "\n".join(f" * {line}" for line in facts(model, table, _plain(of)))
+    comment = "\n".join(f" * {line}" for line in facts(model, table, _plain(of)))
     rows = ",\n".join("    {" + ", ".join(_literal(entry) for entry in row) + "}" for row in table.entries)
     return f"""/*
-{told}
+{comment}
  */
 #ifndef BENCH_COMPENSATION_H
 #define BENCH_COMPENSATION_H

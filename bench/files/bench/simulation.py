@@ -8,9 +8,17 @@ from pydantic import Field, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC
 from bench.base.forms import FileModel
-from bench.base.units import QuantityKind, Ratio, ScaleFactor, TemperatureC, VoltageV, not_negative
+from bench.base.units import (
+    QuantityKind,
+    Ratio,
+    ScaleFactor,
+    SizeRad,
+    SpanS,
+    TemperatureC,
+    VoltageV,
+    not_negative,
+)
 from bench.devices.chambers import SizeK
-from bench.devices.heads import SizeRad, SpanS
 
 TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
 

@@ -9,20 +9,19 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator,
 from bench.base.forms import FileModel
 from bench.base.units import (
     ACCELERATION,
-    ANGLE,
     VOLTAGE,
     AccelerationG,
     AccelerationMS2,
     AngleRad,
     LengthM,
     ScaleFactor,
+    SizeRad,
     not_negative,
 )
 from bench.devices.chambers import TemperatureRange
 from bench.model import Distribution, Installation
 from bench.model.gravity import normal_gravity_m_s2
 
-SizeRad = Annotated[float, not_negative(ANGLE)]
 SizeV = Annotated[float, not_negative(VOLTAGE)]
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 

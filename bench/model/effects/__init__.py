@@ -1,45 +1,23 @@
 """The catalogue of effects: every effect that the model knows, by name."""
 
-from bench.model.effects import head, hysteresis, nonlinear, stand, thermal, voltmeter
-from bench.model.effects.base import AppliedEffect, Effect, Parameter, Stage, Subsystem
+from importlib import import_module
+from typing import Final
 
-CATALOGUE: dict[str, Effect] = {
-    effect.name: effect
-    for effect in (
-        nonlinear.QuadraticNonlinearity(),
-        nonlinear.CubicNonlinearity(),
-        nonlinear.OddQuadraticNonlinearity(),
-        nonlinear.ScaleAsymmetry(),
-        nonlinear.CrossCoupling(),
-        nonlinear.CrossQuadratic(),
-        hysteresis.Hysteresis(),
-        thermal.ThermalBias(),
-        thermal.ThermalScale(),
-        thermal.WarmUp(),
-        thermal.BiasDrift(),
-        thermal.ScaleDrift(),
-        thermal.TurnOnShift(),
-        stand.AxisTilt(),
-        stand.ZeroOffset(),
-        stand.MountingError(),
-        stand.MountingOffset(),
-        stand.MountingRoll(),
-        head.HeadEccentricity(),
-        head.HeadEllipticity(),
-        head.HeadGraduation(),
-        head.Backlash(),
-        stand.AxisWobble(),
-        stand.BracketTilt(),
-        stand.FoundationTilt(),
-        voltmeter.VoltmeterNonlinearity(),
-        voltmeter.VoltmeterDrift(),
-        voltmeter.RangeOffset(),
-        voltmeter.ChannelCrosstalk(),
-        voltmeter.VoltmeterGain(),
-        voltmeter.VoltmeterOffset(),
-        voltmeter.ThermalEmf(),
-        voltmeter.WrongGravity(),
-    )
+from bench.model.effects.base import AppliedEffect, Effect, Parameter, Seen, Stage, Subsystem, Values
+
+MODULES: Final = ("nonlinear", "hysteresis", "thermal", "stand", "head", "stand_motion", "voltmeter")
+"""The modules of this folder that have effects, in the order of the catalogue."""
+
+
+def _effects_of(module: str) -> list[Effect]:
+    """Return one of each effect that a module defines, in its order: the classes in it that have a name."""
+    found = vars(import_module(f"{__name__}.{module}")).values()
+    kinds = [kind for kind in found if isinstance(kind, type) and issubclass(kind, Effect)]
+    return [kind() for kind in kinds if kind.__module__.endswith(f".{module}") and "name" in vars(kind)]
+
+
+CATALOGUE: Final[dict[str, Effect]] = {
+    effect.name: effect for module in MODULES for effect in _effects_of(module)
 }
 
-__all__ = ["CATALOGUE", "AppliedEffect", "Effect", "Parameter", "Stage", "Subsystem"]
+__all__ = ["CATALOGUE", "AppliedEffect", "Effect", "Parameter", "Seen", "Stage", "Subsystem", "Values"]

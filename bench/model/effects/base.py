@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, Mask
 from bench.model.block import Block
 from bench.model.conditions import Conditions
 
@@ -62,6 +62,24 @@ class Parameter:
         return bool(self.grid)
 
 
+Values = Mapping[str, Floats]
+"""Values of an effect's parameters by name, SI: shape (3,) for a per-channel parameter, () else."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What an effect sees: the `signal` that its stage receives (see `Stage`), the rows it is of, the block."""
+
+    signal: Floats
+    conditions: Conditions
+    block: Block
+
+    @property
+    def scale(self) -> Floats:
+        """Scale factors K_ii of the channels along their own axes, V/g, shape (3,)."""
+        return np.diag(self.block.K)
+
+
 class Effect(ABC):
     """An effect of the forward model. Stateless: its parameters' values are passed in.
 
@@ -82,14 +100,49 @@ class Effect(ABC):
     needs_path: ClassVar[bool] = False
 
     @abstractmethod
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
-        """Return what the effect adds at its stage, in the unit of the stage's output.
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return what the effect adds at its stage, in the unit of the stage's output, for what it has seen.
 
         `values` holds an array for each parameter: shape (3,) per channel, else shape ().
-        `signal` is what the stage receives (see `Stage`).
         """
+
+
+class BlockEffect(Effect):
+    """Of the accelerometers themselves: from the specific force, g, what is added to their signals, V."""
+
+    stage = Stage.BLOCK_OUTPUT
+    subsystem = Subsystem.BLOCK
+
+
+class StandEffect(Effect):
+    """Of the stand: what is added to its angles, rad."""
+
+    stage = Stage.STAND
+    subsystem = Subsystem.STAND
+
+
+class HeadEffect(Effect):
+    """Of the head and its scale: what is added to its angle, rad."""
+
+    stage = Stage.HEAD_ANGLE
+    subsystem = Subsystem.STAND
+
+
+class VoltmeterEffect(Effect):
+    """Of the voltmeters: what is added to the voltages at their terminals, V."""
+
+    stage = Stage.VOLTMETER_READING
+    subsystem = Subsystem.VOLTMETER
+
+
+def angle(name: str, plausible_arcsec: float) -> Parameter:
+    """Return a parameter that is an angle, the same for all channels, with its plausible size."""
+    return Parameter(name, "arcsec", ARCSEC, plausible_arcsec * ARCSEC, per_channel=False)
+
+
+def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
+    """Return c cos(phase) + s sin(phase), c and s the parameters `cosine` and `sine` after a prefix."""
+    return values[f"{prefix}cosine"] * np.cos(phase) + values[f"{prefix}sine"] * np.sin(phase)
 
 
 @dataclass(frozen=True)
@@ -102,9 +155,9 @@ class AppliedEffect:
     """
 
     effect: Effect
-    values: Mapping[str, Floats]
+    values: Values
     channels: tuple[str, ...] = CHANNELS
-    u: Mapping[str, Floats] = field(default_factory=dict)
+    u: Values = field(default_factory=dict)
     installations: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
@@ -131,10 +184,10 @@ class AppliedEffect:
         rows: Mask = has[conditions.mount]
         return np.logical_or.accumulate(rows) if self.effect.lasts else rows
 
-    def addition(self, signal: Floats, conditions: Conditions, block: Block) -> Floats:
+    def addition(self, seen: Seen) -> Floats:
         """Return what the effect adds with its values, zero outside its mountings (see `Effect.addition`)."""
-        added = self.effect.addition(self.complete_values(), signal, conditions, block)
+        added = self.effect.addition(self.complete_values(), seen)
         if not self.installations:
             return added
-        rows = self.rows(conditions)
+        rows = self.rows(seen.conditions)
         return np.where(rows.reshape(-1, *(1,) * (added.ndim - 1)), added, 0.0)

@@ -7,46 +7,23 @@ the stand within their limits do not make a branch flip.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.base.arrays import Floats
-from bench.model.block import Block
 from bench.model.conditions import Conditions
-from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-PAST_RAD: Final = np.radians(5.0)
-"""How far the head turns past a setting to come to it from the other side."""
-
-SAME_RAD: Final = 1e-3
-"""Settings closer than this are the same: the head was not turned."""
+from bench.model.effects.base import BlockEffect, Parameter, Seen, Values
+from bench.model.head_path import HeadPath, head_path
 
 SLOW: Final = 0.05
 """Change of specific force with angle, g/rad, below which its sign no longer counts."""
 
 
-class Path(NamedTuple):
-    """How the head came to each of m settings, rad, shape (m,): from `start` to `turn` to `end`.
-
-    `direction` is +1 or -1, 0 where not known; `begins` where the block was mounted just before.
-    """
-
-    start: Floats
-    turn: Floats
-    end: Floats
-    direction: Floats
-    begins: NDArray[np.bool_]
-
-
-class Hysteresis(Effect):
+class Hysteresis(BlockEffect):
     """A signed step (no width), or a play of the given half width; saturated it is the size with its sign."""
 
     name = "hysteresis"
-    stage = Stage.BLOCK_OUTPUT
-    subsystem = Subsystem.BLOCK
     parameters = (
         Parameter("size", "ug", 1e-6, plausible=20e-6, per_channel=True),
         Parameter(
@@ -58,14 +35,12 @@ class Hysteresis(Effect):
     needs_history = True
     needs_path = True
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii times size times the state of the channel (-1 to 1) in volts, shape (n, 3).
 
         Raises `ValueError` when the conditions do not say how the block sits (`Conditions.turns`).
         """
-        return np.diag(block.K) * values["size"] * state(conditions, float(values["width_g"]))
+        return seen.scale * values["size"] * state(seen.conditions, float(values["width_g"]))
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:
@@ -73,49 +48,22 @@ def state(conditions: Conditions, width_g: float) -> Floats:
 
     Rows without an angle or in an unknown installation have 0 and do not count as settings.
     """
-    if conditions.turns is None:
-        raise ValueError(
-            "hysteresis follows the path of the head: the conditions need the installations' turns"
-        )
+    path = head_path(conditions)
     result = np.zeros((len(conditions), 3))
-    sits = np.isfinite(conditions.turns[:, 0, 0])[conditions.mount]
-    rows = np.flatnonzero(sits & np.isfinite(conditions.angle_rad))
-    if len(rows) == 0:
+    if len(path.rows) == 0:
         return result
-    path = path_of(conditions.mount[rows], conditions.angle_rad[rows], conditions.direction[rows])
     # nominal force on a channel: sine part times sin(phi) + cosine part times cos(phi)
-    sine, cosine = np.moveaxis(conditions.turns[conditions.mount[rows]][:, :, [0, 2]], 2, 0)
+    sine, cosine = np.moveaxis(path.sits[:, :, [0, 2]], 2, 0)
     if width_g > 0.0:
-        result[rows] = _play(path, sine, cosine, width_g)
+        result[path.rows] = _play(path, sine, cosine, width_g)
     else:
         end = path.end[:, None]
         rate = path.direction[:, None] * (sine * np.cos(end) - cosine * np.sin(end))
-        result[rows] = np.tanh(rate / SLOW)
+        result[path.rows] = np.tanh(rate / SLOW)
     return result
 
 
-def path_of(mount: NDArray[np.int64], angle_rad: Floats, direction: NDArray[np.int64]) -> Path:
-    """Return the path to the settings (m,), in the order of measurement.
-
-    After a mounting the head comes from just before the setting. A direction that is not known is that of
-    the turn; without a turn it is the one before.
-    """
-    begins = np.concatenate([[True], mount[1:] != mount[:-1]])
-    change = np.diff(angle_rad, prepend=angle_rad[:1])
-    change -= 2 * np.pi * np.round(change / (2 * np.pi))
-    change[begins] = 0.0
-    moved = np.where(np.abs(change) > SAME_RAD, np.sign(change), 0.0)
-    arrived = np.where(direction != 0, direction, moved)
-    last = np.maximum.accumulate(np.where((arrived != 0) | begins, np.arange(len(arrived)), 0))
-    arrived = arrived[last]
-    before = np.where(begins, 0.0, np.roll(arrived, 1))
-    straight = np.where(moved != 0, moved == arrived, arrived == before)
-    start = np.where(begins, angle_rad - arrived * PAST_RAD, angle_rad - change)
-    turn = np.where(straight | begins, start, angle_rad - arrived * PAST_RAD)
-    return Path(start, turn, angle_rad, arrived, begins)
-
-
-def _play(path: Path, sine: Floats, cosine: Floats, width_g: float) -> Floats:
+def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Floats:
     """Return the state of a play operator of half width `width_g` at the end of each path, shape (m, 3)."""
     stops = np.concatenate(
         [_extremes(path.start, path.turn, sine, cosine), _extremes(path.turn, path.end, sine, cosine)]
@@ -130,8 +78,7 @@ def _play(path: Path, sine: Floats, cosine: Floats, width_g: float) -> Floats:
         for k in range(len(stops)):
             slack = np.minimum(np.maximum(slack, low[k, i]), high[k, i])
         reached[i] = slack
-    played: Floats = (stops[-1] - reached) / width_g
-    return played
+    return np.asarray((stops[-1] - reached) / width_g)
 
 
 def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Floats:

@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from bench.base.arrays import Floats
-from bench.model.block import Block
-from bench.model.conditions import Conditions
-from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-MINUTE = 60.0
-HOUR = 3600.0
+from bench.base.arrays import HOUR, MINUTE, Floats
+from bench.model.effects.base import BlockEffect, Parameter, Seen, Values
 
 
 def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
@@ -37,62 +30,46 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
     return behind
 
 
-class ThermalBias(Effect):
+def _lag(*minutes: int) -> Parameter:
+    """A lag behind the temperature: none, or about so many minutes."""
+    grid = (0.0, *(m * MINUTE for m in minutes))
+    return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
+
+
+class ThermalBias(BlockEffect):
     """b_T T, T the temperature less the reference behind a first-order lag."""
 
     name = "thermal_bias"
-    stage = Stage.BLOCK_OUTPUT
-    subsystem = Subsystem.BLOCK
-    parameters = (
-        Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True),
-        Parameter(
-            "lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False,
-            grid=(0.0, 5 * MINUTE, 10 * MINUTE, 20 * MINUTE, 30 * MINUTE), default=0.0,
-        ),
-    )  # fmt: skip
+    parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), _lag(5, 10, 20, 30))
     sentence = "the bias of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii b_T_i T in volts, shape (n, 3)."""
-        warmth = lagged(conditions.warmth_k, conditions.elapsed_s, float(values["lag"]))
-        return warmth[:, None] * (np.diag(block.K) * values["b_T"])
+        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
+        return warmth[:, None] * (seen.scale * values["b_T"])
 
 
-class ThermalScale(Effect):
+class ThermalScale(BlockEffect):
     """k_T T K_ii a_i, T the temperature less the reference behind a first-order lag."""
 
     name = "thermal_scale"
-    stage = Stage.BLOCK_OUTPUT
-    subsystem = Subsystem.BLOCK
-    parameters = (
-        Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True),
-        Parameter(
-            "lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False,
-            grid=(0.0, 5 * MINUTE, 10 * MINUTE, 20 * MINUTE), default=0.0,
-        ),
-    )  # fmt: skip
+    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20))
     sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
     needs_history = True
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii k_T_i T a_i in volts, shape (n, 3)."""
-        warmth = lagged(conditions.warmth_k, conditions.elapsed_s, float(values["lag"]))
-        return warmth[:, None] * signal * (np.diag(block.K) * values["k_T"])
+        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
+        return warmth[:, None] * seen.signal * (seen.scale * values["k_T"])
 
 
-class WarmUp(Effect):
+class WarmUp(BlockEffect):
     """A exp(-t / tau), t since the start of the run."""
 
     name = "warm_up"
-    stage = Stage.BLOCK_OUTPUT
-    subsystem = Subsystem.BLOCK
     parameters = (
         Parameter("A", "ug", 1e-6, plausible=150e-6, per_channel=True),
         Parameter(
@@ -103,54 +80,42 @@ class WarmUp(Effect):
     sentence = "the bias of the accelerometer settles after it was switched on"
     shown_by = "a return to installation 1 at the end; more passes; a longer soak makes it smaller"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii A_i exp(-t / tau) in volts, shape (n, 3)."""
-        left = np.exp(-conditions.elapsed_s / float(values["tau"]))
-        return left[:, None] * (np.diag(block.K) * values["A"])
+        left = np.exp(-seen.conditions.elapsed_s / float(values["tau"]))
+        return left[:, None] * (seen.scale * values["A"])
 
 
-class BiasDrift(Effect):
+class BiasDrift(BlockEffect):
     """r t, t since the start of the run."""
 
     name = "bias_drift"
-    stage = Stage.BLOCK_OUTPUT
-    subsystem = Subsystem.BLOCK
     parameters = (Parameter("rate", "ug/h", 1e-6 / HOUR, plausible=30e-6 / HOUR, per_channel=True),)
     sentence = "the bias of the accelerometer drifts evenly with time"
     shown_by = "a return to installation 1 at the end; more passes"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii r_i t in volts, shape (n, 3)."""
-        return conditions.elapsed_s[:, None] * (np.diag(block.K) * values["rate"])
+        return seen.conditions.elapsed_s[:, None] * (seen.scale * values["rate"])
 
 
-class ScaleDrift(Effect):
+class ScaleDrift(BlockEffect):
     """r t K_ii a_i, t since the start of the run."""
 
     name = "scale_drift"
-    stage = Stage.BLOCK_OUTPUT
-    subsystem = Subsystem.BLOCK
     parameters = (Parameter("rate", "ppm/h", 1e-6 / HOUR, plausible=20e-6 / HOUR, per_channel=True),)
     sentence = "the scale factor of the accelerometer drifts evenly with time"
     shown_by = "a return to installation 1 at the end; a reference voltage at the inputs in each pass"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii r_i t a_i in volts, shape (n, 3)."""
-        return conditions.elapsed_s[:, None] * signal * (np.diag(block.K) * values["rate"])
+        return seen.conditions.elapsed_s[:, None] * seen.signal * (seen.scale * values["rate"])
 
 
-class TurnOnShift(Effect):
+class TurnOnShift(BlockEffect):
     """A step of bias at a remount or a power cycle: from the first row of the mountings named on."""
 
     name = "turn_on_shift"
-    stage = Stage.BLOCK_OUTPUT
-    subsystem = Subsystem.BLOCK
     parameters = (Parameter("step", "ug", 1e-6, plausible=60e-6, per_channel=True),)
     sentence = "the bias of the accelerometer made a step when the block was mounted or switched on"
     shown_by = "a return to installation 1 at the end; a remount turned by 180 deg; power kept on at remounts"
@@ -158,8 +123,6 @@ class TurnOnShift(Effect):
     lasts = True
     needs_history = True
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii times the step in volts, shape (n, 3)."""
-        return np.broadcast_to(np.diag(block.K) * values["step"], signal.shape)
+        return np.broadcast_to(seen.scale * values["step"], seen.signal.shape)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats
-from bench.model.block import Block
-from bench.model.conditions import Conditions
-from bench.model.effects.base import Effect, Parameter, Stage, Subsystem
-
-HOUR = 3600.0
+from bench.base.arrays import HOUR, Floats
+from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values, VoltmeterEffect
 
 NORMAL_V: Final = 2.5
 """The voltage at which the sizes of the nonlinearity are stated."""
@@ -21,47 +16,37 @@ LOW_RANGE_V: Final = 1.2
 """Below it a 34401A with autorange reads on its 1 V range (120 % of range, User's Guide, chapter 8)."""
 
 
-class VoltmeterNonlinearity(Effect):
+class VoltmeterNonlinearity(VoltmeterEffect):
     """q2 (U / 2.5 V)^2 + q3 (U / 2.5 V)^3, the same in all channels."""
 
     name = "voltmeter_nonlinearity"
-    stage = Stage.VOLTMETER_READING
-    subsystem = Subsystem.VOLTMETER
     parameters = tuple(Parameter(name, "uV", 1e-6, 10e-6, per_channel=False) for name in ("q2", "q3"))
     sentence = "the voltmeters are not linear: a part of the reading grows with its square or third power"
     shown_by = "a ladder of reference voltages at the inputs, such as 0, 1 and 2 V of both signs"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the error in volts, shape (n, 3)."""
-        part = signal / NORMAL_V
+        part = seen.signal / NORMAL_V
         return values["q2"] * part**2 + values["q3"] * part**3
 
 
-class VoltmeterDrift(Effect):
+class VoltmeterDrift(VoltmeterEffect):
     """A zero that drifts evenly, the same in all channels; t since the start of the run."""
 
     name = "voltmeter_drift"
-    stage = Stage.VOLTMETER_READING
-    subsystem = Subsystem.VOLTMETER
     parameters = (Parameter("rate", "uV/h", 1e-6 / HOUR, plausible=15e-6 / HOUR, per_channel=False),)
     sentence = "the zero of the voltmeters drifts evenly with time, alike in all channels"
     shown_by = "a shorted input in each pass"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return r t in volts, shape (n, 3)."""
-        return np.broadcast_to((values["rate"] * conditions.elapsed_s)[:, None], signal.shape)
+        return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
 
 
-class RangeOffset(Effect):
+class RangeOffset(VoltmeterEffect):
     """Another zero and gain on the range that is used below 1.2 V, with autorange; of the meter of each channel."""
 
     name = "range_offset"
-    stage = Stage.VOLTMETER_READING
-    subsystem = Subsystem.VOLTMETER
     parameters = (
         Parameter("offset", "uV", 1e-6, plausible=40e-6, per_channel=True),
         Parameter("gain", "ppm", 1e-6, plausible=20e-6, per_channel=True),
@@ -69,68 +54,56 @@ class RangeOffset(Effect):
     sentence = "the voltmeters have another zero and gain on the range that they use below 1.2 V"
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return offset + gain U in volts where |U| < 1.2 V, shape (n, 3)."""
-        return np.where(np.abs(signal) < LOW_RANGE_V, values["offset"] + values["gain"] * signal, 0.0)
+        return np.where(
+            np.abs(seen.signal) < LOW_RANGE_V, values["offset"] + values["gain"] * seen.signal, 0.0
+        )
 
 
-class ChannelCrosstalk(Effect):
+class ChannelCrosstalk(VoltmeterEffect):
     """A part of the channel read before, U_before - U; before the first channel comes the row before."""
 
     name = "channel_crosstalk"
-    stage = Stage.VOLTMETER_READING
-    subsystem = Subsystem.VOLTMETER
     parameters = (Parameter("fraction", "ppm", 1e-6, plausible=25e-6, per_channel=False),)
     sentence = "a reading keeps a part of the voltage of the channel that was read before it"
     shown_by = "the scan order of the channels reversed once; a longer delay after a channel is switched"
     needs_history = True
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return fraction (U_before - U) in volts, shape (n, 3); nothing for the very first reading."""
-        order = conditions.scan_order
-        scanned = np.take_along_axis(signal, order, axis=1).ravel()
-        step = np.diff(-scanned, prepend=-scanned[:1]).reshape(signal.shape)
-        added = np.empty_like(signal)
+        order = seen.conditions.scan_order
+        scanned = np.take_along_axis(seen.signal, order, axis=1).ravel()
+        step = np.diff(-scanned, prepend=-scanned[:1]).reshape(seen.signal.shape)
+        added = np.empty_like(seen.signal)
         np.put_along_axis(added, order, values["fraction"] * step, axis=1)
         return added
 
 
-class VoltmeterGain(Effect):
+class VoltmeterGain(VoltmeterEffect):
     """A common error of gain; the data cannot tell it from the scale factors."""
 
     name = "voltmeter_gain"
-    stage = Stage.VOLTMETER_READING
-    subsystem = Subsystem.VOLTMETER
     parameters = (Parameter("gain", "ppm", 1e-6, plausible=30e-6, per_channel=False),)
     sentence = "the voltmeters read a common factor too much"
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return gain U in volts, shape (n, 3)."""
-        return values["gain"] * signal
+        return values["gain"] * seen.signal
 
 
-class VoltmeterOffset(Effect):
+class VoltmeterOffset(VoltmeterEffect):
     """A common zero error; the data cannot tell it from the biases."""
 
     name = "voltmeter_offset"
-    stage = Stage.VOLTMETER_READING
-    subsystem = Subsystem.VOLTMETER
     parameters = (Parameter("offset", "uV", 1e-6, plausible=50e-6, per_channel=False),)
     sentence = "the voltmeters have a zero error, alike in all channels"
     shown_by = "a shorted input"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the offset in volts, shape (n, 3)."""
-        return np.full_like(signal, values["offset"])
+        return np.full_like(seen.signal, values["offset"])
 
 
 class ThermalEmf(Effect):
@@ -143,11 +116,9 @@ class ThermalEmf(Effect):
     sentence = "the junctions of the wiring add a constant thermal voltage"
     shown_by = "the polarity of the leads reversed at block and meter"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the voltage in volts, shape (n, 3)."""
-        return np.broadcast_to(values["emf"], signal.shape)
+        return np.broadcast_to(values["emf"], seen.signal.shape)
 
 
 class WrongGravity(Effect):
@@ -160,8 +131,6 @@ class WrongGravity(Effect):
     sentence = "local gravity is not what the bench file says"
     shown_by = "a gravimeter, or a survey's value for the place"
 
-    def addition(
-        self, values: Mapping[str, Floats], signal: Floats, conditions: Conditions, block: Block
-    ) -> Floats:
+    def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the excess times the force in g, shape (n, 3)."""
-        return values["excess"] * signal
+        return values["excess"] * seen.signal

@@ -38,15 +38,17 @@ def _coefficients(result: Mapping[str, Any]) -> list[Row]:
         Row(f"{name}{' *' if source['prior'] else ''}", _micro(source["contribution_u"]))
         for name, source in result["sources"].items()
     ]
-    told = [result["coefficients"][name] for name in result["order"]]
+    coefficients = [result["coefficients"][name] for name in result["order"]]
     rows.append(Row("stand, as calibrate states", _micro(result["groups"]["stand"]["u"])))
     rows.append(Row("combined u, per local g", _micro(result["per_local_g"]["u"])))
-    rows.append(Row("combined u", _micro([one["u"] for one in told])))
+    rows.append(Row("combined u", _micro([one["u"] for one in coefficients])))
     rows.append(
-        Row("effective dof", tuple("∞" if one["dof"] is None else f"{one['dof']:.0f}" for one in told))
+        Row(
+            "effective dof", tuple("∞" if one["dof"] is None else f"{one['dof']:.0f}" for one in coefficients)
+        )
     )
-    rows.append(Row("k", tuple(f"{one['k']:.2f}" for one in told)))
-    rows.append(Row("U", _micro([one["U"] for one in told])))
+    rows.append(Row("k", tuple(f"{one['k']:.2f}" for one in coefficients)))
+    rows.append(Row("U", _micro([one["U"] for one in coefficients])))
     return rows
 
 
@@ -65,10 +67,10 @@ def _sources(result: Mapping[str, Any]) -> list[Row]:
 
 def _accelerations(result: Mapping[str, Any]) -> list[Row]:
     rows = []
-    for told in result["acceleration"]["magnitudes"]:
-        name, share = max(told["share"].items(), key=lambda item: item[1])
-        sizes = [told[key] for key in ("u_modulus_mean", "u_modulus_max", "U_modulus_max", "u_vector_mean")]
-        rows.append(Row(f"{told['magnitude_g']:g} g", (*_micro(sizes), f"{name} ({100 * share:.0f} %)")))
+    for at in result["acceleration"]["magnitudes"]:
+        name, share = max(at["share"].items(), key=lambda item: item[1])
+        sizes = [at[key] for key in ("u_modulus_mean", "u_modulus_max", "U_modulus_max", "u_vector_mean")]
+        rows.append(Row(f"{at['magnitude_g']:g} g", (*_micro(sizes), f"{name} ({100 * share:.0f} %)")))
     return rows
 
 
@@ -94,14 +96,14 @@ def _monte_carlo(result: Mapping[str, Any]) -> list[Row]:
         Row(
             name,
             (
-                *_micro([told["u_linear"], told["u"]]),
-                f"{told['ratio']:.3f}",
-                *_micro([*told["differences"], told["tolerance"]]),
-                "yes" if told["validated"] else "no",
+                *_micro([output["u_linear"], output["u"]]),
+                f"{output['ratio']:.3f}",
+                *_micro([*output["differences"], output["tolerance"]]),
+                "yes" if output["validated"] else "no",
             ),
-            bad=not told["validated"],
+            bad=not output["validated"],
         )
-        for name, told in result["monte_carlo"]["outputs"].items()
+        for name, output in result["monte_carlo"]["outputs"].items()
     ]
 
 

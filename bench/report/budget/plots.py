@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.report.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, VERMILION, svg_figure, symbol
+from bench.report.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,12 +42,7 @@ class BudgetFigure:
 
     def save(self, folder: Path) -> tuple[Path, Path]:
         """Draw it once, write it as SVG and as PNG, and return both files. Raises `OSError`."""
-        from matplotlib import style
-        from matplotlib.figure import Figure
-
-        with style.context(["default", {**STYLE, "svg.hashsalt": self.name}]):
-            figure = Figure(figsize=self.inches, layout="constrained")
-            self.draw(figure)
+        with drawn(self.name, self.inches, self.draw) as figure:
             svg, png = folder / f"{self.name}.svg", folder / f"{self.name}.png"
             figure.savefig(png, dpi=DOTS_PER_INCH)
             figure.savefig(svg, metadata={"Date": None})
@@ -63,7 +58,7 @@ def contributions(result: Mapping[str, Any]) -> BudgetFigure:
     """Bars as high as the combined u of each coefficient, parted as the sources part its variance."""
     names: list[str] = result["order"]
     u = np.array([result["coefficients"][name]["u"] for name in names])
-    parts = {source: np.array(told["contribution_u"]) ** 2 for source, told in result["sources"].items()}
+    parts = {source: np.array(of["contribution_u"]) ** 2 for source, of in result["sources"].items()}
     shares = _gathered({source: part / np.where(u > 0, u, 1.0) ** 2 for source, part in parts.items()})
 
     def draw(figure: Figure) -> None:

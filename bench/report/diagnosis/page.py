@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from markupsafe import Markup
 
-from bench.analysis.diagnosis import Diagnosis
-from bench.analysis.diagnosis.alternatives import Rival
-from bench.analysis.diagnosis.result import UNNAMED_WORDS
-from bench.analysis.diagnosis.show import Shown
+from bench.analysis.diagnosis import Diagnosis, NamedEffect
+from bench.analysis.diagnosis.full import FullDiagnosis
+from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.show import SEED, Shown
+from bench.analysis.diagnosis.where import Place
 from bench.base.numbers import aligned, concise, fixed, quantity, rounded, scale_for, two_digits, typeset
-from bench.model import CATALOGUE
+from bench.model import CATALOGUE, Effect
 from bench.report.diagnosis import plots, words
-from bench.report.page import FITS
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
 from bench.report.template import page_template
@@ -26,53 +25,39 @@ DRAWN: Final = 4
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 """Colour of the verdict; of the others it is that of a failure."""
 
-NAMES: Final = {"before": "as it was given", "after": "with what was found"}
 
-
-@dataclass(frozen=True)
-class DiagnosisContent:
-    """Everything that the page says: the result as JSON has it, and what its figures are drawn from."""
-
-    title: str
-    result: Mapping[str, Any]
-    diagnosis: Diagnosis
-    shown: Shown
-    ranked: tuple[tuple[Rival, ...], ...]
-    limit_g: float
-    provenance: Mapping[str, str] = field(default_factory=dict)
-
-
-def render_diagnosis(content: DiagnosisContent) -> str:
-    """Return the page; the same content gives the same text."""
-    result, shown = content.result, content.shown
+def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance: Mapping[str, str]) -> str:
+    """Return the page; the same content gives the same text. `limit_g` is that of the verification points."""
+    diagnosis, shown = full.diagnosis, full.shown
     return page_template("diagnosis.html.j2").render(
-        content=content,
-        result=result,
-        state=STATES.get(result["verdict"], "failed"),
-        lead=words.LEAD[result["verdict"]],
-        verdict=words.verdict_in_words(result),
-        places=[_place(place) for place in result["where"]],
-        mistakes=list(zip(_mistakes(result), content.diagnosis.mistakes.mistakes, strict=True)),
-        effects=[_effect(content, i, effect) for i, effect in enumerate(words.effects_of(result))],
-        gap=_gap(result),
-        coefficients=_coefficients(result),
-        changed=shown.after is not None,
-        tests=_tests(result),
-        joined=list(words.joined_in_words(result)),
-        less_certain=words.less_certain(result) if shown.after else [],
-        still=words.STILL_MISSING if _still_missing(result) else None,
+        title=title,
+        full=full,
+        diagnosis=diagnosis,
+        shown=shown,
+        provenance=provenance,
+        seed=SEED,
+        state=STATES.get(diagnosis.verdict, "failed"),
+        words=words,
+        quantity=quantity,
+        verdict=words.verdict_in_words(diagnosis),
+        places=[_place(place) for place in diagnosis.where],
+        effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
+        held_out=_held_out(diagnosis.gap),
+        gap_bars=_drawn(plots.gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
+        coefficients=_coefficients(shown),
+        tests=_tests(shown),
+        joined=list(words.joined_in_words(shown)),
+        less_certain=words.less_certain(shown.coefficients) if shown.after else [],
         residuals=_residuals(shown),
         in_time=_drawn(plots.residuals_in_time(shown)),
-        modulus=_drawn(plots.modulus(shown, content.limit_g)) if shown.before.points else None,
-        following=result["next_measurement"],
-        apart=_apart(result),
-        hidden=[(name, CATALOGUE[name].sentence, CATALOGUE[name].shown_by) for name in result["hidden"]],
+        modulus=_drawn(plots.modulus(shown, limit_g)) if shown.before.points else None,
+        apart=_apart(diagnosis),
+        hidden=[CATALOGUE[name] for name in diagnosis.hidden],
         smallest=[
             Row(name, (size.replace(" ", "\N{NO-BREAK SPACE}"), CATALOGUE[name].sentence))
-            for name, size in words.smallest_found(result)
+            for name, size in words.smallest_found(diagnosis)
         ],
-        registered=result["registered"],
-        noise=_noise(result),
+        setting=f"{two_digits(diagnosis.noise.setting_arcsec)}″",
     )
 
 
@@ -80,106 +65,57 @@ def _drawn(svg: str) -> Markup:
     return Markup(svg)  # noqa: S704 - our own drawing
 
 
-def _place(place: Mapping[str, Any]) -> Row:
-    where = "verification points" if place["channel"] == "modulus" else str(place["channel"])
-    installation = "whole run" if place["installation"] == "all" else str(place["installation"])
-    size = quantity(place["size"], place["unit"])
-    return Row(where, (installation, str(place["pattern"]), size, typeset(words.p_in_column(place["p"]))))
+def _place(place: Place) -> Row:
+    where = "verification points" if place.channel == "modulus" else place.channel
+    installation = "whole run" if place.installation == "all" else place.installation
+    size = quantity(place.size, place.unit)
+    return Row(where, (installation, place.pattern, size, typeset(words.p_in_column(place.p))))
 
 
-def _mistakes(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the mistakes with p in words."""
+def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> Markup | None:
+    rivals = full.rivals_of(number)
+    return _drawn(plots.ranking(rivals, effect.name, number)) if rivals else None
+
+
+def _held_out(gap: Gap) -> list[Row]:
     return [
-        {**mistake, "p": typeset(words.p_in_words(mistake["p"]))} for mistake in words.mistakes_of(result)
-    ]
-
-
-def _effect(content: DiagnosisContent, number: int, effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the page says of one thing that was found."""
-    ranked = content.ranked[number] if number < len(content.ranked) else ()
-    others = [
-        {
-            "name": name,
-            "sentence": CATALOGUE[name].sentence if name in CATALOGUE else UNNAMED_WORDS[name],
-            "shift": words.shift_in_words(content.result, number, name),
-            "tied": name in effect["cannot_tell_from"],
-        }
-        for name in (*effect["cannot_tell_from"], *effect["plainer_than"])
-    ]
-    return {
-        "name": effect["name"],
-        "title": words.effect_title(effect),
-        "sentence": effect["words"],
-        "named": effect["name"] in CATALOGUE,
-        "parameters": list(words.parameters_in_words(effect)),
-        "p": typeset(words.p_in_words(effect["p_all_looks"])),
-        "rho": None if effect["rho"] is None else f"{effect['rho']:.1f}",
-        "others": others,
-        "ranking": _drawn(plots.ranking(ranked, effect["name"], number)) if ranked else None,
-    }
-
-
-def _gap(result: Mapping[str, Any]) -> dict[str, Any] | None:
-    gap = result["gap"]
-    if not gap["held_out"]:
-        return None
-    rows = [
         Row(
-            fold["what"],
+            fold.label,
             (
-                ", ".join(fold["named_without_it"]) or "nothing",
-                f"{fold['before']:.2f}",
-                f"{fold['after']:.2f}",
-                "yes" if fold["confirmable"] else "no: without it the rest could not have shown the effect",
+                ", ".join(fold.found) or "nothing",
+                f"{fold.before.reduced:.2f}",
+                f"{fold.after.reduced:.2f}",
+                "yes" if fold.confirmable else "no: without it the rest could not have shown the effect",
             ),
         )
-        for fold in gap["held_out"]
+        for fold in gap.folds
     ]
-    counted = any(fold["confirmable"] for fold in gap["held_out"])
-    return {
-        "rows": rows,
-        "counted": counted,
-        "before": f"{gap['before']:.2f}" if counted else "",
-        "after": f"{gap['after']:.2f}" if counted else "",
-        "p": None if gap["p_after"] is None else typeset(words.p_in_words(gap["p_after"], 2)),
-        "before_rms": quantity(gap["before_rms"], gap["unit"]) if counted else "",
-        "after_rms": quantity(gap["after_rms"], gap["unit"]) if counted else "",
-        "noise": quantity(gap["noise_rms"], gap["unit"]),
-        "figure": _drawn(plots.gap_bars(gap)),
-    }
 
 
-def _coefficients(result: Mapping[str, Any]) -> list[Row]:
-    told = result["coefficients"]
-    before = aligned([concise(one["before"], one["u_before"]) for one in told.values()])
-    after = aligned([concise(one["after"], one["u_after"]) for one in told.values()])
-    unit = result["gap"]["unit"]
-    largest = max(abs(one["after"] - one["before"]) for one in told.values())
-    scale = scale_for(largest, unit)
+def _coefficients(shown: Shown) -> list[Row]:
+    changes, unit = shown.coefficients, shown.before.calibration.unit
+    before = aligned([concise(one.before, one.u_before) for one in changes.values()])
+    after = aligned([concise(one.after, one.u_after) for one in changes.values()])
+    scale = scale_for(max(abs(one.after - one.before) for one in changes.values()), unit)
     rows = []
-    for (name, one), was, now in zip(told.items(), before, after, strict=True):
-        change, u = one["after"] - one["before"], one["u_before"]
-        shown = rounded(change / scale.size, max(one["u_after"], u) / scale.size, sign=True)
+    for (name, one), was, now in zip(changes.items(), before, after, strict=True):
+        change, u = one.after - one.before, max(one.u_after, one.u_before)
+        difference = rounded(change / scale.size, u / scale.size, sign=True)
         printed = scale.unit if name.startswith("U0") else scale.per_g
-        per_u = fixed(change / u, 1, sign=True) if u > 0 else ""
-        rows.append(Row(symbol(name), (was, now, shown, printed, per_u)))
+        in_u = fixed(one.in_u, 1, sign=True) if one.u_before > 0 else ""
+        rows.append(Row(symbol(name), (was, now, difference, printed, in_u)))
     return rows
 
 
-def _tests(result: Mapping[str, Any]) -> list[Row]:
+def _tests(shown: Shown) -> list[Row]:
     rows = []
-    for name, told in result["simulation"].items():
-        if told is not None and told["p"] is not None:
-            rms = quantity(told["rms"], result["gap"]["unit"])
-            simulated = quantity(told["rms_of_a_simulated_run"], result["gap"]["unit"])
-            chi2 = f"{told['chi2']:.1f} for {told['dof']}"
-            rows.append(Row(NAMES[name], (chi2, typeset(words.p_in_column(told["p"], 2)), rms, simulated)))
+    unit = shown.before.calibration.unit
+    for name, one in (("as it was given", shown.before), ("with what was found", shown.after)):
+        if one is not None and one.tested:
+            simulated = quantity(one.repeated.lack_of_fit.rms, unit)
+            chi2, p = f"{one.test.chi2:.1f} for {one.test.dof}", typeset(words.p_in_column(one.test.p, 2))
+            rows.append(Row(name, (chi2, p, quantity(one.test.rms, unit), simulated)))
     return rows
-
-
-def _still_missing(result: Mapping[str, Any]) -> bool:
-    last = result["simulation"]["after"] or result["simulation"]["before"]
-    return last["p"] is not None and last["p"] < FITS
 
 
 def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:
@@ -190,20 +126,12 @@ def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:
     return figures[:DRAWN], figures[DRAWN:]
 
 
-def _apart(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _apart(diagnosis: Diagnosis) -> list[Effect]:
     """Return what measurement would show each effect that is in a tie."""
     names = dict.fromkeys(
         name
-        for effect in words.effects_of(result)
-        if effect["cannot_tell_from"]
-        for name in (effect["name"], *effect["cannot_tell_from"])
+        for effect in diagnosis.effects
+        if effect.cannot_tell_from
+        for name in (effect.name, *effect.cannot_tell_from)
     )
-    return [(name, CATALOGUE[name].shown_by) for name in names if name in CATALOGUE]
-
-
-def _noise(result: Mapping[str, Any]) -> dict[str, str]:
-    noise = result["noise"]
-    return {
-        "reading": quantity(noise["reading"], result["gap"]["unit"]),
-        "setting": f"{two_digits(noise['setting_arcsec'])}″",
-    }
+    return [CATALOGUE[name] for name in names if name in CATALOGUE]

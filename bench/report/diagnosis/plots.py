@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from bench.analysis.calibration import Calibration
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.holdout import Gap
 from bench.analysis.diagnosis.show import SEED, ModulusPoint, Shown
 from bench.base.arrays import CHANNELS
 from bench.base.numbers import MINUS, Scale, scale_for
@@ -37,12 +38,11 @@ MANY: Final = 3
 
 def columns_of(shown: Shown) -> list[tuple[str, Calibration]]:
     """Return what is drawn side by side: before, after, a simulated run; nothing after where nothing was named."""
-    last = shown.after or shown.before
     after = [] if shown.after is None else [("after", shown.after.calibration)]
     return [
         ("before" if after else "readings", shown.before.calibration),
         *after,
-        (f"simulated bench, seed {SEED}", last.repeated),
+        (f"simulated bench, seed {SEED}", shown.last.repeated),
     ]
 
 
@@ -113,20 +113,23 @@ def residuals_in_time(shown: Shown) -> str:
     return svg_figure("diagnosis-time", (7.6, 5.0), draw, alt)
 
 
-def gap_bars(gap: Mapping[str, Any]) -> str:
+def gap_bars(gap: Gap) -> str:
     """Reduced chi-square of what was held out, each fold by itself, before and after; 1 is noise alone."""
-    folds = gap["held_out"]
-    names = [_folded(fold["what"]) for fold in folds]
+    folds = gap.folds
+    names = [fold.label.replace(" and ", "\nand ") for fold in folds]
     places = np.arange(len(folds), dtype=float)
 
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
-        for key, shift, colour in (("before", -0.19, VERMILION), ("after", 0.19, BLUE)):
+        before, after = [f.before.reduced for f in folds], [f.after.reduced for f in folds]
+        for key, heights, shift, colour in (
+            ("before", before, -0.19, VERMILION), ("after", after, 0.19, BLUE),
+        ):  # fmt: skip
             for counted in (True, False):
-                chosen = [i for i, fold in enumerate(folds) if fold["confirmable"] is counted]
+                chosen = [i for i, fold in enumerate(folds) if fold.confirmable is counted]
                 if chosen:
                     axes.bar(
-                        places[chosen] + shift, [folds[i][key] for i in chosen], width=0.36,
+                        places[chosen] + shift, [heights[i] for i in chosen], width=0.36,
                         color=colour if counted else "white", edgecolor=colour,
                         hatch="" if counted else "////", linewidth=0.8,
                         label=key if counted else f"{key}, not counted",
@@ -140,10 +143,6 @@ def gap_bars(gap: Mapping[str, Any]) -> str:
 
     alt = f"Reduced chi-square of readings held out before and after, {len(folds)} folds; noise alone gives 1"
     return svg_figure("diagnosis-gap", (6.4, 3.0), draw, alt)
-
-
-def _folded(what: str) -> str:
-    return what.replace(" and ", "\nand ") if len(what) > 12 else what
 
 
 def ranking(rows: Sequence[Rival], named: str, number: int) -> str:

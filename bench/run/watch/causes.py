@@ -7,15 +7,16 @@ taken for a property of it. The likelihood of all readings decides; equally like
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.arrays import Floats
+from bench.base.arrays import CHANNELS, Floats
 from bench.model import Block, Conditions, ForwardModel
+from bench.readings.mistaken import EXCHANGED, OPPOSITE_RAD, REVERSED, SLIPS_RAD, Wiring, reflected_rad
 from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judgement, NoiseSizes, poses
 from drivers.angles import format_dms
 
@@ -29,27 +30,19 @@ CHANNEL_OFF_G: Final = 0.1
 MOST_CANDIDATES: Final = 12
 """Earlier readings that are suspected at once; it bounds the time that a warning takes in a long run."""
 
-_SWAPS: Final[Mapping[str, tuple[int, int, int]]] = {
-    "channels x and y are swapped": (1, 0, 2),
-    "channels x and z are swapped": (2, 1, 0),
-    "channels y and z are swapped": (0, 2, 1),
-    "the channels are exchanged in turn: x shows z, y shows x, z shows y": (1, 2, 0),
-    "the channels are exchanged in turn: x shows y, y shows z, z shows x": (2, 0, 1),
-}
-"""What is wrong, and for each true signal the channel that shows it."""
 
-_SLIPS: Final[Mapping[str, float]] = {"10°": 10.0, "1°": 1.0, "10′": 1 / 6, "1′": 1 / 60}
-
-
-def _cablings() -> dict[str, Floats]:
-    """What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
-    right = {text: np.eye(3)[list(order)] for text, order in _SWAPS.items()}
-    for i, channel in enumerate("xyz"):
-        right[f"channel {channel} is reversed"] = np.diag([-1.0 if j == i else 1.0 for j in range(3)])
-    return right
+def _said(wiring: Wiring) -> str:
+    """Say what is wrong with the cables."""
+    match wiring.channels:
+        case (one,):
+            return f"channel {one} is reversed"
+        case one, other:
+            return f"channels {one} and {other} are swapped"
+    return f"the channels are exchanged in turn: {wiring.shown}"
 
 
-CABLINGS: Final[Mapping[str, Floats]] = _cablings()
+CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
+"""What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
 
 
 @dataclass
@@ -134,30 +127,27 @@ class Inquiry:
             *self._off_by_some(sighting, state, before),
         ]
 
-    def _cabling_now(self, sighting: Sighting, state: Expectation, before: float) -> Iterator[Suspect]:
+    def _cabling_now(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         signals = np.stack(list(CABLINGS.values())) @ sighting.signal_v
-        judged = state.judge(signals, sighting.pose, self.noise)
-        yield from self._fitting(list(CABLINGS), judged, before)
+        return self._fitting(list(CABLINGS), state.judge(signals, sighting.pose, self.noise), before)
 
-    def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> Iterator[Suspect]:
+    def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """The block in another installation, or the head elsewhere than its scale was read."""
-        told, label, angle = [], sighting.installation, sighting.angle_rad
-        for other in self._others(label):
-            told.append((_wrong_installation(other, label), other, 0.0))
+        label, angle = sighting.installation, sighting.angle_rad
+        supposed = [(_wrong_installation(other, label), other, 0.0) for other in self._others(label)]
         if abs(np.sin(angle)) > 1e-6:
-            told.append(("the head stood at 360° - x where x was read", label, -2 * angle))
-        for name, degrees in _SLIPS.items():
-            for sign in (1, -1):
-                off = sign * float(np.radians(degrees))
-                text = f"the setting is {name} off: the head stood at {_dms(angle + off)}"
-                told.append((text, label, off))
-        told.append(("the head stood on the opposite side of its circle (180°)", label, float(np.pi)))
-        texts, labels, offs = (list(column) for column in zip(*told, strict=True))
+            reflected = float(reflected_rad(np.asarray(angle)))
+            supposed.append(("the head stood at 360° - x where x was read", label, reflected))
+        for name, slip in SLIPS_RAD.items():
+            for off in (slip, -slip):
+                text = f"the setting is {name} off: the head stood at {format_dms(angle + off)}"
+                supposed.append((text, label, off))
+        supposed.append(("the head stood on the opposite side of its circle (180°)", label, OPPOSITE_RAD))
+        texts, labels, offs = (list(column) for column in zip(*supposed, strict=True))
         pose = poses(self.model, self.nominal, sighting.row, labels, angle + np.array(offs))
-        judged = state.judge(sighting.signal_v, pose, self.noise)
-        yield from self._fitting(texts, judged, before)
+        return self._fitting(texts, state.judge(sighting.signal_v, pose, self.noise), before)
 
-    def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> Iterator[Suspect]:
+    def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """The block moved in the plane of rotation or out of it, or one channel off, by whatever fits."""
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
@@ -175,29 +165,26 @@ class Inquiry:
         left = 1.0 - (weighed * further).sum(axis=-1)
         moved, u = MOVED_RAD * part, MOVED_RAD * np.sqrt(np.maximum(left, 0.0))
         texts = [
-            f"block or head is {_dms(abs(moved[0]))} off about the shaft",
-            f"the block is tilted by {_dms(abs(moved[1]))} out of the plane of rotation",
+            f"block or head is {format_dms(abs(moved[0]))} off about the shaft",
+            f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation",
         ]
-        for i, channel in enumerate("xyz"):
+        for i, channel in enumerate(CHANNELS):
             off_v = part[2 + i] * size[i]
             texts.append(f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)")
-        for suspect, index in self._indexed(texts, judged, before):
-            yield (
-                suspect
-                if index
-                else Suspect(suspect.text, suspect.cost, moved_rad=float(moved[0]), u_rad=float(u[0]))
-            )
+        return [
+            replace(suspect, moved_rad=float(moved[0]), u_rad=float(u[0]))
+            if suspect.text == texts[0]
+            else suspect
+            for suspect in self._fitting(texts, judged, before)
+        ]
 
-    def _fitting(self, texts: Sequence[str], judged: Judgement, before: float) -> Iterator[Suspect]:
-        return (suspect for suspect, _ in self._indexed(texts, judged, before))
-
-    def _indexed(
-        self, texts: Sequence[str], judged: Judgement, before: float
-    ) -> Iterator[tuple[Suspect, int]]:
+    def _fitting(self, texts: Sequence[str], judged: Judgement, before: float) -> list[Suspect]:
         cost = judged.cost(self.most)
-        for index, text in enumerate(texts):
-            if judged.chi2[index] <= self.most:
-                yield Suspect(text, before + float(cost[index])), index
+        return [
+            Suspect(text, before + float(cost[index]))
+            for index, text in enumerate(texts)
+            if judged.chi2[index] <= self.most
+        ]
 
     def _others(self, label: str) -> list[str]:
         return [other for other in self.model.installations if other != label]
@@ -297,7 +284,3 @@ def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
 
 def _wrong_installation(actual: str, stated: str) -> str:
     return f"the block sits in installation {actual}, not in {stated}"
-
-
-def _dms(angle_rad: float) -> str:
-    return format_dms(angle_rad)

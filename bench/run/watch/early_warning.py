@@ -13,17 +13,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model import Block, Conditions, ForwardModel
+from bench.model import Block, ForwardModel
+from bench.readings.reading import Reading, readings_of
+from bench.readings.table import UNORIENTED
 from bench.run.watch.causes import Inquiry, Replay, Sighting, Suspect, likeliest
 from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, RepeatNoise, poses
+from bench.run.watch.sign import EarlySign, millivolts, misfit, why
 from drivers.angles import format_dms
 
 SCALE_FACTOR_U: Final = 0.03
@@ -59,36 +61,8 @@ LEAST_NOISE_G: Final = 10e-6
 POORLY_KNOWN: Final = 3.0
 """An expectation this many times less certain than a reading cannot show a small mistake in it."""
 
-MOST_TOLD: Final = 3
-"""With more causes than that, equally likely, there is no telling yet."""
-
 TOLD_SIGMA: Final = 3.0
 """Channels off by more standard deviations are named in a warning."""
-
-
-@dataclass(frozen=True)
-class EarlySign:
-    """A reading that does not fit those before it.
-
-    `sentence` tells it all; `sigma` are the residuals of x, y, z in standard deviations of the expectation,
-    `channels` those that stand out, `p` the probability of so large a misfit by chance; `causes` are the
-    mistakes that explain it equally well, likeliest first, empty when none does; `in_a_row` counts readings
-    in succession that did not fit; `at_fault` is the place of an earlier reading where that one was wrong (and
-    this one fits without it: `in_a_row` is 0).
-    """
-
-    sentence: str
-    place: str
-    channels: tuple[str, ...]
-    sigma: tuple[float, float, float]
-    p: float
-    causes: tuple[str, ...]
-    in_a_row: int
-    at_fault: str | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as the data of an event."""
-        return asdict(self)
 
 
 class EarlyWarning:
@@ -111,6 +85,7 @@ class EarlyWarning:
         self._scale = scale
         self._nominal = Block(np.diag(nominal_v_g), np.zeros(3))
         self._model = model
+        self._oriented = model.installations.keys() - UNORIENTED
         self._stand_u = dict(stand_u)
         terms = np.where(np.eye(3) == 1, SCALE_FACTOR_U, CROSS_AXIS_U) * scale[:, None]
         self._prior = Expectation.about(self._nominal, np.concatenate([terms.ravel(), BIAS_U_G * scale]))
@@ -121,7 +96,7 @@ class EarlyWarning:
         self._told_noisy = False
         self._most = float(chdtri(3, FALSE_ALARM / max(readings, 1)))
         self._history: list[Sighting] = []
-        self._places: dict[tuple[object, ...], Sighting] = {}
+        self._places: dict[tuple[int, str, int, int], Sighting] = {}
         self._visits: dict[tuple[object, ...], Sighting] = {}
         self._time_s, self._temperature_c = math.nan, math.nan
         self._mounted_anew = True
@@ -138,16 +113,16 @@ class EarlyWarning:
         self._mounted_anew = True
         self._visits.clear()  # what differs from now on is the mounting, no noise
 
-    def take(self, row: Mapping[str, Any]) -> list[EarlySign]:
-        """Judge a reading, as the run's events hold it, and learn from it; return what is to be told.
+    def take(self, reading: Reading) -> list[EarlySign]:
+        """Judge a reading and learn from it; return what is to be told.
 
-        Rows without a known orientation (free, shorted, reference; no angle; an installation that the model
+        Those without a known orientation (free, shorted, reference; no angle; an installation that the model
         lacks) are passed over. A reading taken again takes the place of the earlier one.
         """
-        if row.get("angle_deg") is None or row["installation"] not in self._model.installations:
+        if reading.angle_deg is None or reading.installation not in self._oriented:
             return []
-        self._replace_earlier(row)
-        sighting = self._sight(row)
+        self._replace_earlier(reading)
+        sighting = self._sight(reading)
         self._history.append(sighting)
         if sighting.new_mount:
             self._state.remount(self._stand_u)
@@ -158,46 +133,37 @@ class EarlyWarning:
             np.max(judged.covariance.diagonal(0, 1, 2)) > (POORLY_KNOWN * noise_v) ** 2
         )
         sighting.taken = bool(judged.chi2[0] <= self._most)
-        told: list[EarlySign] = []
+        signs: list[EarlySign] = []
         if sighting.taken:
             self._state.take(judged)
             self._in_a_row, self._moved = 0, None
         else:
-            told.append(self._suspect(sighting, judged))
+            signs.append(self._suspect(sighting, judged))
         self._learn_noise(sighting)
         if self.noise.reading_v > NOISY * self._repeats.stated.reading_v and not self._told_noisy:
             self._told_noisy = True
-            told.append(self._noisy(sighting, judged))
-        return told
+            signs.append(self._noisy(sighting, judged))
+        return signs
 
     # --- the reading ---------------------------------------------------------------------------------
 
-    def _sight(self, row: Mapping[str, Any]) -> Sighting:
-        """Make a sighting of a row, with what may have changed since the last one."""
-        label, angle = str(row["installation"]), math.radians(float(row["angle_deg"]))
-        time_s, temperature_c = (_number(row.get(name)) for name in ("time_s", "temperature_c"))
-        conditions = Conditions.of(
-            [label],
-            [angle],
-            series=[int(row["series"])],
-            pass_number=[int(row["pass"])],
-            point=[int(row["point"])],
-            direction=[int(row["direction"])],
-            time_s=[time_s],
-            temperature_c=[temperature_c],
-        )
+    def _sight(self, reading: Reading) -> Sighting:
+        """Make a sighting of a reading, with what may have changed since the last one."""
+        conditions = readings_of([reading], "").conditions()
         new_mount = self._mounted_anew or self._history[-1].row.mounts != conditions.mounts
         self._mounted_anew = False
-        mount = str(conditions.mounts[0])
+        where = f"installation {conditions.mounts[0]}, pass {reading.pass_number}, point {reading.point}"
         sighting = Sighting(
-            place=f"installation {mount}, pass {row['pass']}, point {row['point']} at {format_dms(angle)}",
+            place=f"{where} at {format_dms(float(conditions.angle_rad[0]))}",
             row=conditions,
-            signal_v=np.asarray(row["mean"], dtype=np.float64),
-            pose=poses(self._model, self._nominal, conditions, [label], np.array([angle])),
+            signal_v=np.asarray(reading.mean, dtype=np.float64),
+            pose=poses(self._model, self._nominal, conditions, [reading.installation], conditions.angle_rad),
             new_mount=new_mount,
-            loosened=self._changes(time_s, temperature_c, new_mount),
+            loosened=self._changes(
+                float(conditions.time_s[0]), float(conditions.temperature_c[0]), new_mount
+            ),
         )
-        self._places[_place(row)] = sighting
+        self._places[reading.place] = sighting
         return sighting
 
     def _changes(self, time_s: float, temperature_c: float, new_mount: bool) -> Floats:
@@ -214,13 +180,11 @@ class EarlyWarning:
         variances = self._scale**2
         return np.concatenate([np.repeat(scale * variances, 3), bias * variances])
 
-    def _replace_earlier(self, row: Mapping[str, Any]) -> None:
+    def _replace_earlier(self, reading: Reading) -> None:
         """Strike the reading that this one repeats, and make the model forget it."""
-        earlier = self._places.pop(_place(row), None)
-        if earlier is None:
-            return
-        earlier.struck = True
-        self._go_through_again()
+        if (earlier := self._places.pop(reading.place, None)) is not None:
+            earlier.struck = True
+            self._go_through_again()
 
     def _go_through_again(self) -> None:
         """Judge and learn all readings anew, with what is known by now of the noise and of mistakes."""
@@ -268,21 +232,21 @@ class EarlyWarning:
             at_fault, texts = self._blame_earlier(causes[0].earlier, replay, causes[0].member)
         else:
             texts = self._lasting(sighting, of_reading) or texts
-        sigma = judged.sigma[0]
-        channels = tuple(c for c, s in zip(CHANNELS, np.abs(sigma), strict=True) if s > TOLD_SIGMA)
-        channels = channels or (CHANNELS[int(np.argmax(np.abs(sigma)))],)
-        sentence = _sentence(sighting, judged, channels, texts, at_fault)
-        return _sign(sentence, sighting, judged, channels, texts, self._in_a_row, at_fault)
+        sigma = np.abs(judged.sigma[0])
+        channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
+        channels = channels or (CHANNELS[int(np.argmax(sigma))],)
+        words = f"{misfit(judged, channels)}; {why(texts, at_fault)}"
+        return EarlySign.of(sighting.place, words, judged, channels, texts, self._in_a_row, at_fault)
 
     def _noisy(self, sighting: Sighting, judged: Judgement) -> EarlySign:
         """Tell, once, that the bench is noisier than its file states."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = "the bench is noisier than its file states"
-        sentence = (
-            f"{sighting.place}: repeats scatter by {_millivolts(found)} where the bench file states "
-            f"{_millivolts(stated)}; warnings so far may come from that, and mistakes below it cannot be seen"
+        words = (
+            f"repeats scatter by {millivolts(found)} where the bench file states "
+            f"{millivolts(stated)}; warnings so far may come from that, and mistakes below it cannot be seen"
         )
-        return _sign(sentence, sighting, judged, CHANNELS, (cause,), self._in_a_row)
+        return EarlySign.of(sighting.place, words, judged, CHANNELS, (cause,), self._in_a_row)
 
     def _blame_earlier(self, index: int, replay: Replay, member: int) -> tuple[str, list[str]]:
         """Strike an earlier reading and go on from the model without it; return its place and the causes."""
@@ -311,62 +275,3 @@ class EarlyWarning:
         return [
             f"the block has slipped in its mount, or the head on its zero, by {slipped} since {before[0].place}"
         ]
-
-
-def _sign(
-    sentence: str,
-    sighting: Sighting,
-    judged: Judgement,
-    channels: Sequence[str],
-    causes: Sequence[str],
-    in_a_row: int,
-    at_fault: str | None = None,
-) -> EarlySign:
-    x, y, z = (float(value) for value in judged.sigma[0])
-    p = float(chdtrc(3, judged.chi2[0]))
-    return EarlySign(
-        sentence, sighting.place, tuple(channels), (x, y, z), p, tuple(causes), in_a_row, at_fault
-    )
-
-
-def _sentence(
-    sighting: Sighting,
-    judged: Judgement,
-    channels: Sequence[str],
-    causes: Sequence[str],
-    at_fault: str | None,
-) -> str:
-    """Tell in one sentence where, by how much, and what would explain it."""
-    parts = []
-    for channel in channels:
-        i = CHANNELS.index(channel)
-        off_v, u_v = float(judged.residual[0, i]), math.sqrt(judged.covariance[0, i, i])
-        parts.append(
-            f"channel {channel} is {_millivolts(off_v, '+')} from what was expected "
-            f"(u = {_millivolts(u_v)}, {abs(off_v) / u_v:.0f} sigma)"
-        )
-    told = ", ".join(parts)
-    if at_fault:
-        why = f"the mistake is at {at_fault}, which does not fit the other readings"
-        why += f": {' or '.join(causes)}" if causes else ""
-    elif not causes:
-        why = "no single mistake that is known explains it"
-    elif len(causes) > MOST_TOLD:
-        why = f"{len(causes)} mistakes explain it so far, one of them: {causes[0]}"
-    else:
-        why = f"probable cause: {' or '.join(causes)}"
-    return f"{sighting.place}: {told}; {why}"
-
-
-def _millivolts(value_v: float, sign: str = "") -> str:
-    """Three digits, without an exponent."""
-    digits = 0 if abs(value_v) >= 0.1 else 1 if abs(value_v) >= 0.01 else 2
-    return f"{value_v * 1e3:{sign}.{digits}f} mV"
-
-
-def _place(row: Mapping[str, Any]) -> tuple[object, ...]:
-    return (row["series"], row["installation"], row["pass"], row["point"])
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)

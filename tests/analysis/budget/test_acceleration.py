@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bench.analysis.budget import bench_sources, make_budget, stand_source
 from bench.analysis.budget.acceleration import delta_g, directions, magnitudes, measured, over_directions
+from bench.analysis.budget.coefficients import make_budget
+from bench.analysis.budget.sources import bench_sources, stand_source
 from bench.analysis.calibration import CalibrationError
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bench.analysis.budget import make_budget
+from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.exact import exact_monte_carlo, exact_readings
-from bench.analysis.budget.setup import rows_of
 from bench.analysis.budget.sources import effect_sources
 from bench.analysis.calibration import CalibrationError, gls
 from bench.analysis.calibration.design import make_problem
@@ -62,7 +61,7 @@ def test_the_gls_map_is_the_fit():
     setup = paper_setup()
     budget = make_budget(setup, stand(), "gls")
     readings = exact_readings(budget, 12, np.random.default_rng(4))[:, setup.fitted]
-    problem = make_problem(setup.model, rows_of(setup.conditions, setup.fitted), ONE_SIGMA)
+    problem = make_problem(setup.model, setup.conditions.select(setup.fitted), ONE_SIGMA)
     noise = Noise(ONE_SIGMA["voltmeter_error"], ONE_SIGMA["setting_error"], np.inf, "given")
     gain = budget.gain[:, setup.fitted]
     for reading in readings:
@@ -104,7 +103,7 @@ def test_the_budget_of_gls_is_the_covariance_of_its_fit(with_effect):
     effect = AppliedEffect(CATALOGUE["quadratic_nonlinearity"], {"K2": np.array([6e-5, 0.0, 0.0])}, ("x",), u)
     setup = paper_setup(effects=[effect] if with_effect else [])
     budget = make_budget(setup, [*stand(), *effect_sources(setup)], "gls")
-    problem = make_problem(setup.model, rows_of(setup.conditions, setup.fitted), ONE_SIGMA)
+    problem = make_problem(setup.model, setup.conditions.select(setup.fitted), ONE_SIGMA)
     noise = Noise(ONE_SIGMA["voltmeter_error"], ONE_SIGMA["setting_error"], np.inf, "given")
     fitted = gls.fit(problem, setup.signal[setup.fitted], setup.block, noise)
     size = np.outer(budget.combined.u, budget.combined.u)

@@ -8,8 +8,8 @@ import GTC
 import numpy as np
 import pytest
 
-from bench.analysis.budget import make_budget
 from bench.analysis.budget.acceleration import measured
+from bench.analysis.budget.coefficients import make_budget
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
 from tests.support.paper_bench import U0, K
 

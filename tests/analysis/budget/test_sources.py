@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.analysis.budget import bench_sources, make_budget, make_setup, stand_source
+from bench.analysis.budget.coefficients import make_budget
+from bench.analysis.budget.setup import make_setup
+from bench.analysis.budget.sources import bench_sources, stand_source
 from bench.analysis.calibration import CalibrationError
 from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import FileMistakes, load_bench

@@ -7,8 +7,8 @@ from this program; the limits are taken as one standard deviation, three passes.
 import numpy as np
 import pytest
 
-from bench.analysis.budget import make_budget
 from bench.analysis.budget.acceleration import delta_g, over_directions
+from bench.analysis.budget.coefficients import make_budget
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
 from tests.support.paper_bench import ARCSEC
 

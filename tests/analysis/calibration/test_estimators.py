@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.analysis.budget import make_budget
+from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.calibration import ESTIMATORS, calibrate
 from bench.analysis.calibration.estimators import GLS, Estimator, find_estimator
 from bench.readings.csv import write_csv
@@ -60,7 +60,7 @@ def test_every_command_refuses_another_and_its_help_names_all(bench, readings):
         _, out, _ = bench(command[0], "--help")
         told = " ".join(out.split())
         for estimator in ESTIMATORS.values():
-            assert f"({estimator.told})" in told, estimator.name
+            assert f"({estimator.phrase})" in told, estimator.name
         assert ("robust counts as gls" in told) == (command[0] != "calibrate")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration.design import make_problem
-from bench.analysis.calibration.null_space import Direction, DirectionKind, told_axis
+from bench.analysis.calibration.null_space import Direction, DirectionKind, axis_in_words
 from bench.analysis.calibration.observability import columns_of, observability, with_angles
 from bench.model import AppliedEffect, Block, Conditions, Effect, ForwardModel, Installation, Parameter, Stage
 from bench.model.block import COEFFICIENTS
@@ -120,7 +120,7 @@ def test_a_turn_of_the_block_keeps_the_modulus_and_the_third_mounting_angle_does
 def test_a_direction_is_told_in_words():
     found = observability(with_angles(paper(), (A1, A2, A3, A5)), BLOCK)
     x, y, z, roll = found.directions
-    assert [told_axis(d.axis) for d in (x, y, z)] == ["x", "y", "z"]
+    assert [axis_in_words(d.axis) for d in (x, y, z)] == ["x", "y", "z"]
     assert y.text() == (
         "a common turn of the block's axes about y (of alpha2[1] and alpha3[2] only the sum is shown): "
         "1 arcsec is -10.4 µV/g in Kzx, +10.6 µV/g in Kxz"
@@ -202,9 +202,9 @@ class Terms(Effect):
         self.forms = forms
         self.parameters = tuple(Parameter(name, "1", 1.0, 1e-5, per_channel=True) for name in forms)
 
-    def addition(self, values, signal, conditions, block):
+    def addition(self, values, seen):
         return sum(
-            np.diag(block.K) * values[n][:3] * np.stack([form(signal, i) for i in range(3)], axis=1)
+            seen.scale * values[n][:3] * np.stack([form(seen.signal, i) for i in range(3)], axis=1)
             for n, form in self.forms.items()
         )
 

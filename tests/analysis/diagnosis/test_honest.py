@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from markupsafe import escape
 
-from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
+from bench.analysis.diagnosis import NamedEffect, Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.candidates import Candidates, Column, Variant
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.next_measurement import propose
-from bench.analysis.diagnosis.show import contradicted
+from bench.analysis.diagnosis.show import CoefficientChange, contradicted
 from bench.base.arrays import ARCSEC
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
@@ -57,7 +57,7 @@ def result_of(path):
 
 
 def roll_in_both(covariance, value=(1.0, 1.2)):
-    """What is told of a mounting roll in installations 1 and 2, plausible size 90 arcsec."""
+    """What is known of a mounting roll in installations 1 and 2, plausible size 90 arcsec."""
     kinds = (Column("angle", None, ("1",)), Column("angle", None, ("2",)))
     variant = Variant("mounting_roll", (0, 1), (0, 1, 2), ("1", "2"))
     candidates = Candidates(np.zeros((1, 2)), kinds, np.full(2, 90 * ARCSEC), (variant,))
@@ -68,12 +68,12 @@ def roll_in_both(covariance, value=(1.0, 1.2)):
     ("correlation", "combination", "value"), [(-0.995, "sum", 198.0), (0.995, "difference", -18.0)]
 )
 def test_a_sum_or_difference_is_told_where_it_alone_is_known(correlation, combination, value):
-    (told,) = roll_in_both([[0.5, 0.5 * correlation], [0.5 * correlation, 0.5]])
-    assert (told["combination"], told["of"]) == (combination, ["installation 1", "installation 2"])
-    assert told["value"] == pytest.approx(value)
-    assert told["u"] == pytest.approx(90.0 * np.sqrt(2 * 0.5 * (1 - 0.995)))
-    assert told["unit"] == "arcsec"
-    effect = {"parameters": {}, "together": [told]}
+    (known,) = roll_in_both([[0.5, 0.5 * correlation], [0.5 * correlation, 0.5]])
+    assert (known.combination, known.of) == (combination, ("installation 1", "installation 2"))
+    assert known.value == pytest.approx(value)
+    assert known.u == pytest.approx(90.0 * np.sqrt(2 * 0.5 * (1 - 0.995)))
+    assert known.unit == "arcsec"
+    effect = NamedEffect("mounting_roll", (), ("1", "2"), (), (), (), 0.0, 0.0, 1.0, "", together=(known,))
     (line,) = parameters_in_words(effect)
     assert line.startswith(f"{combination} of angle of installation 1 and installation 2 = ")
 
@@ -84,13 +84,9 @@ def test_values_that_are_known_one_by_one_are_told_so():
 
 
 def test_coefficients_that_are_known_worse_with_the_effect_are_named():
-    one = {"before": 1.0, "after": 1.0, "u_before": 1e-5}
-    told = {
-        "Kxx": {**one, "u_after": 1.1e-5},
-        "Kyz": {**one, "u_after": 2.5e-3},
-        "U0x": {**one, "u_after": 3e-5},
-    }
-    assert less_certain({"coefficients": told}) == ["Kyz (u 250 times)", "U0x (u 3.0 times)"]
+    u_after = {"Kxx": 1.1e-5, "Kyz": 2.5e-3, "U0x": 3e-5}
+    changes = {name: CoefficientChange(1.0, 1e-5, 1.0, u) for name, u in u_after.items()}
+    assert less_certain(changes) == ["Kyz (u 250 times)", "U0x (u 3.0 times)"]
 
 
 def test_probabilities_far_out_are_not_told_to_the_last_power():
@@ -134,8 +130,8 @@ def with_references(table, *stated):
     longer["installation"] = np.append(table.installation, ["R", "R"])
     longer["angle_rad"][-2:] = np.nan
     longer["signal"][-2:] = [[2.0] * 3, [-2.0] * 3]
-    told = np.array([""] * len(table) + list(stated))
-    return replace(table, **longer, extra={"reference_v": told})
+    voltages = np.array([""] * len(table) + list(stated))
+    return replace(table, **longer, extra={"reference_v": voltages})
 
 
 def test_a_reference_whose_value_nobody_stated_shows_no_gain():

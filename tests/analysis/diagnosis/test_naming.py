@@ -44,8 +44,9 @@ def test_a_quadratic_term_is_named_added_and_closes_the_gap():
     assert found.verdict == "named"
     (effect,) = found.effects
     assert (effect.name, effect.channels) == ("quadratic_nonlinearity", ("y",))
-    k2 = effect.parameters["K2"]["y"]
-    assert abs(k2["value"] - 80) < 4 * k2["u"]
+    (k2,) = effect.parameters
+    assert (k2.parameter, k2.channel) == ("K2", "y")
+    assert abs(k2.value - 80) < 4 * k2.u
     assert effect.p_all_looks < 1e-6
     assert "cross_quadratic" in effect.plainer_than
     assert found.gap.before > 1.5 > found.gap.after
@@ -145,8 +146,8 @@ def test_a_cached_threshold_belongs_to_its_design(tmp_path, monkeypatch):
 def test_what_was_settled_before_is_hashed():
     found = examine(paper_run(np.random.default_rng(22)))
     again = examine(paper_run(np.random.default_rng(31)))
-    assert found.registered["sha256"] == again.registered["sha256"]
-    assert found.registered["held_out"][0] == "pass 1"
+    assert found.registered.sha256 == again.registered.sha256
+    assert found.registered.held_out[0] == "pass 1"
 
 
 def test_the_record_is_left_as_it_is():

@@ -3,6 +3,7 @@
 import io
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -295,10 +296,12 @@ def test_what_the_bench_cannot_do_is_left_out_and_said(drifting, agreeing, tmp_p
 def test_a_proposal_is_a_procedure_and_never_written_over_another_file(drifting, bench, tmp_path):
     proposal = propose(drifting, BENCH)
     path = tmp_path / "proposed" / "next.yaml"
-    assert proposal.write(path) == path
-    assert proposal.write(path) == path
+    assert proposal.procedure == find_procedure("inputs")
+    assert proposal.write(path).procedure == path
+    assert proposal.write(path).procedure == path
     path.write_text("mine")
-    second = proposal.write(path)
+    written = proposal.write(path)
+    second = written.procedure
     assert second.name == "next-2.yaml"
     assert path.read_text() == "mine"
     lines = second.read_text(encoding="utf-8").splitlines()
@@ -307,21 +310,22 @@ def test_a_proposal_is_a_procedure_and_never_written_over_another_file(drifting,
     assert load_procedure(second).plan.steps == plan_of("inputs").steps
     status, _, _ = bench("check", second)
     assert status == 0
-    told = proposal.to_json(second)
-    assert told["procedure"] == str(second)
-    assert told["settles"][0]["after"] > 8.0
+    as_json = written.to_dict()
+    assert as_json["procedure"] == str(second)
+    assert as_json["settles"][0]["after"] > 8.0
 
 
 # --- following --------------------------------------------------------------------------------------
 
 
-def fake_diagnosis(monkeypatch, following_measurement):
+def fake_diagnosis(monkeypatch, *proposed):
     """Stand in for the diagnosis of runs; return the list of what was diagnosed."""
     seen = []
 
     def diagnosed_(runs):
         seen.append([run.name for run in runs])
-        return {"next_measurement": following_measurement}
+        proposal = SimpleNamespace(procedure=Path(proposed[0]), minutes=60.0) if proposed else None
+        return SimpleNamespace(next_measurement=proposal)
 
     monkeypatch.setattr(following_command, "_diagnosed", diagnosed_)
     return seen
@@ -330,7 +334,7 @@ def fake_diagnosis(monkeypatch, following_measurement):
 def test_a_dry_run_is_followed_by_what_is_proposed_and_both_are_diagnosed(bench, monkeypatch, tmp_path):
     path = tmp_path / "short.yaml"
     path.write_text(SHORT)
-    seen = fake_diagnosis(monkeypatch, {"procedure": str(path), "minutes": 60.0})
+    seen = fake_diagnosis(monkeypatch, path)
     (tmp_path / "runs" / "a-2").mkdir(parents=True)
     status, _, _ = bench("run", path, "--dry-run", "--name", "a", "--seed", "4", "--follow")
     assert status == 0
@@ -343,7 +347,7 @@ def test_a_dry_run_is_followed_by_what_is_proposed_and_both_are_diagnosed(bench,
 def test_nothing_follows_where_nothing_would_tell_more(bench, monkeypatch, tmp_path):
     path = tmp_path / "short.yaml"
     path.write_text(SHORT)
-    seen = fake_diagnosis(monkeypatch, None)
+    seen = fake_diagnosis(monkeypatch)
     status, out, _ = bench("run", path, "--dry-run", "--name", "a", "--follow")
     assert status == 0
     assert seen == [["a"]]
@@ -355,7 +359,7 @@ def test_nothing_follows_where_nothing_would_tell_more(bench, monkeypatch, tmp_p
 
 @pytest.mark.parametrize(("answer", "carried_out"), [("yes\n", True), ("no\n", False), ("", False)])
 def test_on_real_instruments_the_person_is_asked(monkeypatch, tmp_path, answer, carried_out):
-    fake_diagnosis(monkeypatch, {"procedure": "next.yaml", "minutes": 60.0})
+    fake_diagnosis(monkeypatch, "next.yaml")
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
     monkeypatch.setattr(following_command.printing, "console", lambda: Console(file=io.StringIO()))
     done = []

@@ -8,8 +8,7 @@ import pytest
 from scipy import stats
 
 from bench.analysis.calibration import CalibrationError, calibrate
-from bench.analysis.history import Snapshot, compare
-from bench.analysis.history.comparison import holm
+from bench.analysis.history.comparison import Snapshot, compare, holm
 from bench.model.block import COEFFICIENTS
 from bench.readings.csv import write_csv
 from tests.support.paper_bench import STAND_U, TRUTH, simulate

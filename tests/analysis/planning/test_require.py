@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.analysis.budget import bench_sources, make_budget, make_setup, stand_source
+from bench.analysis.budget.coefficients import make_budget
+from bench.analysis.budget.setup import make_setup
+from bench.analysis.budget.sources import bench_sources, stand_source
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.closed_form import closed_form_gain
 from bench.analysis.calibration.verification import modulus_slopes

@@ -14,7 +14,7 @@ from allantools.ci import edf_greenhall
 from packaging.requirements import Requirement
 
 from bench.analysis.calibration import CalibrationError
-from bench.analysis.stability import AllanCurve, allan_curve
+from bench.analysis.stability.allan import AllanCurve, allan_curve
 
 WHITE, FLICKER, WALK = 0, -1, -2
 LENGTHS = (32, 100, 1000, 4096, 19217)
@@ -149,7 +149,8 @@ def test_a_bench_finds_the_deviation_without_the_tools_of_tests():
     program = (
         "import sys\n"
         "for name in ('allantools', 'pytest', 'sphinx', 'numpydoc'): sys.modules[name] = None\n"
-        "from bench.stability import allan_curve, fit_terms\n"
+        "from bench.analysis.stability.allan import allan_curve\n"
+        "from bench.analysis.stability.noise_terms import fit_terms\n"
         "import numpy as np\n"
         "assert fit_terms(allan_curve(np.random.default_rng(33).normal(size=500), 1.0)).shown[1]\n"
     )

@@ -8,16 +8,10 @@ import pytest
 from scipy import stats
 
 from bench.analysis.calibration import CalibrationError
-from bench.analysis.stability import (
-    TERMS,
-    NoiseTerms,
-    allan_curve,
-    averaging,
-    fit_terms,
-    from_columns,
-    read_static,
-    reading_advice,
-)
+from bench.analysis.stability.advice import averaging, reading_advice
+from bench.analysis.stability.allan import allan_curve
+from bench.analysis.stability.noise_terms import TERMS, NoiseTerms, fit_terms
+from bench.analysis.stability.static_record import from_columns, read_static
 from bench.readings.csv import ReadingsError
 
 DATA = Path(__file__).parents[2] / "data"

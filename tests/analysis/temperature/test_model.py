@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration import CalibrationError, calibrate
-from bench.analysis.temperature import temperature_model
+from bench.analysis.temperature.estimate import temperature_model
 from bench.model.block import COEFFICIENTS, Block
 from tests.support.paper_bench import STAND_U, TRUTH
 from tests.support.thermal_bench import MODEL, REFERENCE_C, coefficients, simulate, truth

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration import CalibrationError
-from bench.analysis.temperature import make_table, temperature_model
-from bench.analysis.temperature.table import inverse_entries
+from bench.analysis.temperature.estimate import temperature_model
+from bench.analysis.temperature.table import inverse_entries, make_table
 from bench.analysis.temperature.table_files import c_header, table_csv, table_json
 from tests.support.paper_bench import STAND_U
 from tests.support.thermal_bench import MODEL, simulate, truth

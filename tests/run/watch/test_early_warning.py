@@ -1,6 +1,7 @@
 """Early warning: a good run is silent; each classic mistake is seen where it happens, and named."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy import stats
 
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.readings.reading import Reading
 from bench.run.watch.early_warning import EarlyWarning
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
@@ -36,7 +38,7 @@ def plan():
 
 
 def run_of(seed, noise_v=1e-4, *, actual=None, off_rad=0.0, wired=None):
-    """Rows of a run as its events hold them, by geometry that is not the application's.
+    """The readings of a run, by geometry that is not the application's.
 
     `actual` gives the labels where the block really sat, `off_rad` (58,) what the head was off, `wired`
     changes the signals (58, 3).
@@ -54,17 +56,17 @@ def run_of(seed, noise_v=1e-4, *, actual=None, off_rad=0.0, wired=None):
     if wired is not None:
         signal = wired(signal)
     return [
-        {
-            "installation": stated[k],
-            "series": 1,
-            "pass": pass_number[k],
-            "point": point[k],
-            "angle_deg": float(np.degrees(phi[k])),
-            "direction": 1,
-            "time_s": 130.0 * k,
-            "temperature_c": 23.0,
-            "mean": signal[k].tolist(),
-        }
+        Reading(
+            installation=stated[k],
+            series=1,
+            pass_number=pass_number[k],
+            point=point[k],
+            angle_deg=float(np.degrees(phi[k])),
+            direction=1,
+            time_s=130.0 * k,
+            temperature_c=23.0,
+            mean=tuple(signal[k].tolist()),
+        )
         for k in range(N)
     ]
 
@@ -232,18 +234,17 @@ def test_temperature_may_change_the_block_by_what_is_plausible():
     """40 K: 4 mV of bias and 0.4 % of scale factor, in a second series."""
     cold = run_of(1)
     warm = [
-        row
-        | {
-            "series": 2,
-            "temperature_c": 63.0,
-            "time_s": row["time_s"] + 9000.0,
-            "mean": (np.array(row["mean"]) * 1.004 + 4e-3).tolist(),
-        }
+        replace(
+            row,
+            series=2,
+            temperature_c=63.0,
+            time_s=row.time_s + 9000.0,
+            mean=tuple((np.array(row.mean) * 1.004 + 4e-3).tolist()),
+        )
         for row in run_of(2)
     ]
     assert not watch([*cold, *warm], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
-    for row in warm:
-        row["temperature_c"] = 23.0
+    warm = [replace(row, temperature_c=23.0) for row in warm]
     assert watch([*cold, *warm], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
 
 
@@ -252,18 +253,18 @@ def test_effects_of_the_model_are_expected():
     effect = AppliedEffect(CATALOGUE["quadratic_nonlinearity"], {"K2": K2})
     bent = ForwardModel(MODEL.installations, (effect,))
     rows = run_of(5)
-    for row in rows:
-        force = np.linalg.solve(K, np.array(row["mean"]) - U0)
-        row["mean"] = (np.array(row["mean"]) + np.diag(K) * K2 * force**2).tolist()
+    for k, row in enumerate(rows):
+        force = np.linalg.solve(K, np.array(row.mean) - U0)
+        rows[k] = replace(row, mean=tuple((np.array(row.mean) + np.diag(K) * K2 * force**2).tolist()))
     assert not watch(rows, EarlyWarning(NOMINAL, bent, BENCH_U))
     assert watch(rows)
 
 
 def test_rows_without_orientation_are_passed_over_and_what_is_unknown_is_no_obstacle():
     rows = run_of(6)
-    shorted = rows[0] | {"installation": "S", "angle_deg": None, "mean": [0.0, 0.0, 0.0]}
-    free = rows[0] | {"installation": "F", "mean": [0.0, 0.0, 0.0]}
-    bare = [row | {"time_s": None, "temperature_c": None, "direction": 0} for row in rows]
+    shorted = replace(rows[0], installation="S", angle_deg=None, mean=(0.0, 0.0, 0.0))
+    free = replace(rows[0], installation="F", mean=(0.0, 0.0, 0.0))
+    bare = [replace(row, time_s=None, temperature_c=None, direction=0) for row in rows]
     assert not watch([shorted, free, *bare, shorted])
 
 

@@ -27,8 +27,8 @@ class Doubled(Effect):
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
 
-    def addition(self, values, signal, conditions, block):
-        return signal
+    def addition(self, values, seen):
+        return seen.signal
 
 
 def a_world(*stages: Stage) -> World:

@@ -158,10 +158,10 @@ class _Heating(Effect):
     sentence = "for the test"
     shown_by = "the test"
 
-    def addition(self, values, signal, conditions, block):  # type: ignore[no-untyped-def]
+    def addition(self, values, seen):  # type: ignore[no-untyped-def]
         """Return temperature above 20 degC on x, time on y."""
-        zero = 0.0 * conditions.time_s
-        return np.stack([conditions.warmth_k, conditions.time_s, zero], axis=-1) - signal
+        rows = seen.conditions
+        return np.stack([rows.warmth_k, rows.time_s, 0.0 * rows.time_s], axis=-1) - seen.signal
 
 
 def test_effects_see_time_since_the_beginning_and_the_temperature_of_the_block() -> None:

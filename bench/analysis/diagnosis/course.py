@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -25,7 +26,7 @@ from bench.analysis.diagnosis.noise_grid import RATIOS, make_noise_grid
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.repeats import noise_of_repeats
-from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, NamedEffect, Verdict, channels_of
+from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
 from bench.analysis.diagnosis.where import find_places
@@ -72,7 +73,7 @@ def diagnose(
     ratio = RATIOS.index(near_ratios(linear, noise)[1])
     sizes = detectable(whitened, limit, ratio)
     unseen = hidden(whitened, limit, ratio, sizes)
-    own = {applied.effect.name for applied in model.effects}
+    in_model = {applied.effect.name for applied in model.effects}
     effects = _effects(candidates, naming, fitted, limit)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
@@ -81,7 +82,7 @@ def diagnose(
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
-        hidden={name: parts for name, parts in unseen.items() if name not in own},
+        hidden={family: parts for family, parts in unseen.items() if family not in in_model},
         detectable=sizes,
         gap=measure_gap(linear, candidates, grid, naming, noise, limit, setting_rad),
         registered=registered,
@@ -150,45 +151,47 @@ def _rank(search: Search, whitened: Whitened, ratio: int, columns: tuple[int, ..
 
 
 def _unexplained(p: float) -> NamedEffect:
-    return NamedEffect("lack_of_fit", (), (), (), (), {}, p, p, float("nan"), UNNAMED_WORDS["lack_of_fit"])
+    return NamedEffect("lack_of_fit", (), (), (), (), (), p, p, None, UNNAMED_WORDS["lack_of_fit"])
 
 
 def _effects(
     candidates: Candidates, naming: Naming, fitted: Posterior, limit: Threshold
 ) -> tuple[NamedEffect, ...]:
     effects = []
-    start = 0
-    for found in naming.found:
-        count = len(found.variant.columns)
-        mine = slice(start, start + count)
-        start += count
-        value, u = fitted.amplitudes[mine], fitted.amplitude_u[mine]
-        p = float(special.chdtrc(count, found.size**2))
-        shared = (channels_of(found), found.variant.mounts, found.ties, found.plainer_than)
-        if found.variant.named:
-            applied = _applied(candidates, found.variant, value, u)
-            effects.append(
-                NamedEffect(
-                    found.variant.family, *shared, _told(applied), p, max(p, limit.p(found.total)), found.size,
-                    CATALOGUE[found.variant.family].sentence, applied,
-                    known_together(candidates, found.variant, value, fitted.amplitude_covariance[mine, mine]),
-                )
-            )  # fmt: skip
-        else:
-            words = UNNAMED_WORDS[found.variant.family]
-            words += f" ({found.variant.where})" if found.variant.where else ""
-            effects.append(
-                NamedEffect(
-                    found.variant.family, *shared, {}, p, max(p, limit.p(found.total)), found.size, words
-                )
-            )
+    for found, mine in naming.parts():
+        variant = found.variant
+        p = float(special.chdtrc(len(variant.columns), found.size**2))
+        effect = NamedEffect(
+            name=variant.family,
+            channels=tuple(CHANNELS[c] for c in variant.channels),
+            installations=variant.mounts,
+            cannot_tell_from=found.ties,
+            plainer_than=found.plainer_than,
+            parameters=(),
+            p=p,
+            p_all_looks=max(p, limit.p(found.total)),
+            rho=found.size,
+            words=_in_words(variant),
+        )
+        if variant.named:
+            value, covariance = fitted.amplitudes[mine], fitted.amplitude_covariance[mine, mine]
+            applied = _applied(candidates, effect, variant, value, np.sqrt(np.diag(covariance)))
+            together = known_together(candidates, variant, value, covariance)
+            effect = replace(effect, parameters=tuple(_values(applied)), applied=applied, together=together)
+        effects.append(effect)
     return tuple(effects)
 
 
-def _applied(candidates: Candidates, variant: Variant, value: Floats, u: Floats) -> tuple[AppliedEffect, ...]:
+def _in_words(variant: Variant) -> str:
+    if variant.named:
+        return CATALOGUE[variant.family].sentence
+    return UNNAMED_WORDS[variant.family] + (f" ({variant.where})" if variant.where else "")
+
+
+def _applied(
+    candidates: Candidates, found: NamedEffect, variant: Variant, value: Floats, u: Floats
+) -> tuple[AppliedEffect, ...]:
     """Return the effect with the estimated values in SI, once for each set of mountings with its own values."""
-    effect = CATALOGUE[variant.family]
-    channels = tuple(CHANNELS[c] for c in variant.channels)
     kinds = [candidates.kinds[column] for column in variant.columns]
     applied = []
     for mounts in dict.fromkeys(kind.mounts for kind in kinds):
@@ -198,32 +201,23 @@ def _applied(candidates: Candidates, variant: Variant, value: Floats, u: Floats)
             if kind.mounts != mounts:
                 continue
             at = () if kind.channel is None else kind.channel
-            for told, number in ((values, value[place]), (sizes, u[place])):
-                told.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
-                told[kind.parameter][at] = number * candidates.scale[column]
-        applied.append(AppliedEffect(effect, values, channels, sizes, mounts))
+            for numbers, number in ((values, value[place]), (sizes, u[place])):
+                numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
+                numbers[kind.parameter][at] = number * candidates.scale[column]
+        applied.append(AppliedEffect(CATALOGUE[variant.family], values, found.channels, sizes, mounts))
     return tuple(applied)
 
 
-def _told(applied: tuple[AppliedEffect, ...]) -> dict[str, object]:
-    """Return parameters with u in the units of the catalogue; by mounting where there are several."""
-    if len(applied) == 1:
-        return _parameters(applied[0])
-    return {"+".join(a.installations): _parameters(a) for a in applied}
-
-
-def _parameters(applied: AppliedEffect) -> dict[str, object]:
-    told: dict[str, object] = {}
-    for p in applied.effect.parameters:
-        if p.name not in applied.values:
-            continue
-        value = np.asarray(applied.values[p.name]) / p.si_per_unit
-        u = np.asarray(applied.u.get(p.name, np.zeros_like(value))) / p.si_per_unit
-        if p.is_shape:
-            told[p.name] = {"value": float(value), "unit": p.unit}
-        elif p.per_channel:
-            rows = [(c, CHANNELS.index(c)) for c in applied.channels]
-            told[p.name] = {c: {"value": float(value[i]), "u": float(u[i]), "unit": p.unit} for c, i in rows}
-        else:
-            told[p.name] = {"value": float(value), "u": float(u), "unit": p.unit}
-    return told
+def _values(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
+    """Yield parameters with u in the units of the catalogue; with their mountings where there are several sets."""
+    for one in applied:
+        mounts = "+".join(one.installations) if len(applied) > 1 else ""
+        for p in one.effect.parameters:
+            if p.name not in one.values:
+                continue
+            value = np.asarray(one.values[p.name]) / p.si_per_unit
+            u = np.asarray(one.u.get(p.name, np.zeros_like(value))) / p.si_per_unit
+            for channel in one.channels if p.per_channel and not p.is_shape else ("",):
+                at = CHANNELS.index(channel) if channel else ()
+                known = None if p.is_shape else float(u[at])
+                yield EffectValue(p.name, channel, mounts, float(value[at]), known, p.unit)

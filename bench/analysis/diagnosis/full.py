@@ -1,0 +1,93 @@
+"""A diagnosis with all that follows from it: simulation beside bench, rivals, next measurement, files written."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.analysis.diagnosis.alternatives import Rival, rivals
+from bench.analysis.diagnosis.course import diagnose
+from bench.analysis.diagnosis.next_measurement import Proposal, propose
+from bench.analysis.diagnosis.result import Diagnosis
+from bench.analysis.diagnosis.show import Shown, contradicted, show
+from bench.analysis.diagnosis.threshold import ThresholdCache
+from bench.base.numbers import without_infinity
+from bench.files.bench.file import BenchFile
+from bench.model import ForwardModel
+from bench.readings.table import Readings
+
+
+@dataclass(frozen=True)
+class FullDiagnosis:
+    """What `bench diagnose` finds out of one body of readings; JSON, terminal and page are told from it.
+
+    `ranking` has for each effect that was found the families in its place; `skipped_rows` names rows of the
+    source that could not be read. `model` and `report` are files that were written.
+    """
+
+    source: str
+    simulated: bool
+    skipped_rows: tuple[str, ...]
+    diagnosis: Diagnosis
+    shown: Shown
+    ranking: tuple[tuple[Rival, ...], ...]
+    next_measurement: Proposal | None
+    model: Path | None = None
+    report: Path | None = None
+
+    def rivals_of(self, effect: int) -> tuple[Rival, ...]:
+        """Return the ranking of the effect of this number; nothing where it was not ranked."""
+        return self.ranking[effect] if effect < len(self.ranking) else ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the promised result; null stands for what is no finite number, as JSON has none."""
+        shown = self.shown
+        whole = self.diagnosis.to_dict() | {
+            "next_measurement": None if self.next_measurement is None else self.next_measurement.to_dict(),
+            "model": None if self.model is None else str(self.model),
+            "simulation": {
+                "before": shown.before.to_dict(),
+                "after": None if shown.after is None else shown.after.to_dict(),
+            },
+            "coefficients": {name: asdict(change) for name, change in shown.coefficients.items()},
+            "ranking": [[rival.to_dict() for rival in one] for one in self.ranking],
+            "source": self.source,
+            "simulated": self.simulated,
+            "skipped_rows": list(self.skipped_rows),
+            "report": None if self.report is None else str(self.report),
+        }
+        return {key: without_infinity(value) for key, value in whole.items()}
+
+
+def diagnose_fully(
+    readings: Readings,
+    model: ForwardModel,
+    bench: BenchFile,
+    g_m_s2: float,
+    cache: ThresholdCache,
+    *,
+    source: str,
+    simulated: bool,
+) -> FullDiagnosis:
+    """Diagnose readings that were taken on a bench, and work out what follows; nothing is written.
+
+    `source` is what they are called, `simulated` whether they come from simulated instruments. Raises
+    `CalibrationError` where the readings do not determine the coefficients.
+    """
+    stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
+    nominal = np.array(bench.unit_under_test.scale_factors.values) if readings.unit == "V" else None
+    diagnosis = diagnose(readings, model, stand_u, nominal, cache)
+    shown = show(diagnosis.mistakes.corrected, model, diagnosis.applied, stand_u, g_m_s2)
+    stated = contradicted(model.effects, shown.before.effects)
+    return FullDiagnosis(
+        source=source,
+        simulated=simulated,
+        skipped_rows=readings.skipped,
+        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *stated)),
+        shown=shown,
+        ranking=rivals(diagnosis, stand_u["setting_error"]),
+        next_measurement=propose(diagnosis, bench),
+    )

@@ -1,0 +1,124 @@
+"""One reading, from the voltmeters to the record, the early warning, the person and the table of readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.readings.table import REFERENCE_V, SCAN_ORDER, Readings, make_readings
+
+Triple = tuple[float, ...]
+"""A number for each of the channels x, y, z."""
+
+MaybeTriple = tuple[float | None, ...]
+"""A number for each of x, y, z where there is one."""
+
+_NONE: Final = (None, None, None)
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """The sample (from 1) that an outlier test names: its value, its distance from the mean and the critical one.
+
+    Both distances are in standard deviations of the samples.
+    """
+
+    sample: int
+    value: float
+    sigma: float
+    critical: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """One settled reading of the three channels, as the record holds it; signals in `unit`.
+
+    `angle_deg` was read back from the head, `target_deg` asked for; both are None, and `direction` is 0, where
+    the head means nothing (a shorted or a reference input, of `reference_v` volts). `time_s` counts from the
+    beginning of the run. `mean`, `sd` and `drift` are those of the samples of x, y and z, `drift_p` the
+    probability of as large a drift in samples that only scatter; None where there are too few samples for
+    them. `scan_order` is the order in which the channels were read. What is left at its default was not
+    recorded: records before these were kept lack `samples` and what is drawn from them, the reference and the
+    scan order.
+    """
+
+    installation: str
+    series: int
+    pass_number: int
+    point: int
+    target_deg: float | None = None
+    angle_deg: float | None
+    direction: Literal[0, 1, -1] = 0
+    time_s: float | None = None
+    temperature_c: float | None = None
+    unit: str = "V"
+    mean: Triple
+    sd: MaybeTriple = _NONE
+    samples_taken: int = 1
+    samples: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    drift: MaybeTriple = _NONE
+    drift_p: MaybeTriple = _NONE
+    outlier: tuple[Outlier | None, ...] = _NONE
+    reference_v: float | None = None
+    scan_order: str = ""
+
+    @property
+    def place(self) -> tuple[int, str, int, int]:
+        """Which reading of a run it is; one taken again has the same place."""
+        return self.series, self.installation, self.pass_number, self.point
+
+    def __str__(self) -> str:
+        return f"installation {self.installation}, pass {self.pass_number}, point {self.point}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as an event holds it."""
+        return {_KEYS.get(name, name): value for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_json(cls, row: Mapping[str, Any]) -> Reading:
+        """Return the reading of an event, of older versions, too. Raises `KeyError`, `TypeError` for none."""
+        given: dict[str, Any] = {
+            name: tuple(row[key]) if isinstance(row[key], list) else row[key]
+            for name, key in ((of.name, _KEYS.get(of.name, of.name)) for of in fields(cls))
+            if key in row
+        }
+        outlier = tuple(None if found is None else Outlier(**found) for found in given.get("outlier", _NONE))
+        return cls(**given | {"outlier": outlier})
+
+
+_KEYS: Final = {"pass_number": "pass"}
+"""What is called otherwise in the record."""
+
+
+def readings_of(taken: Sequence[Reading], source: str) -> Readings:
+    """Make the table of readings. Scan order and reference are among its extra columns where any has them."""
+
+    def column(name: str) -> Floats:
+        return np.array([getattr(reading, name) for reading in taken], dtype=np.float64)  # None becomes NaN
+
+    extra = {
+        SCAN_ORDER: [reading.scan_order for reading in taken],
+        REFERENCE_V: ["" if reading.reference_v is None else str(reading.reference_v) for reading in taken],
+    }
+    table = make_readings(
+        [reading.installation for reading in taken],
+        [reading.pass_number for reading in taken],
+        [reading.point for reading in taken],
+        np.radians(column("angle_deg")),
+        column("mean"),
+        source=source,
+        unit=taken[0].unit,
+        target_rad=np.radians(column("target_deg")),
+        series=[reading.series for reading in taken],
+        direction=[reading.direction for reading in taken],
+        time_s=column("time_s"),
+        temperature_c=column("temperature_c"),
+        signal_sd=column("sd"),
+        samples=[reading.samples_taken for reading in taken],
+    )
+    given = {name: np.array(cells, dtype=np.str_) for name, cells in extra.items() if any(cells)}
+    return replace(table, extra=given)

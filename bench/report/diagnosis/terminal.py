@@ -1,0 +1,163 @@
+"""A diagnosis as text in the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from rich.console import Console
+from rich.table import Table
+
+from bench.analysis.diagnosis import Diagnosis, NamedEffect
+from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.full import FullDiagnosis
+from bench.analysis.diagnosis.show import Shown
+from bench.base.numbers import quantity, typeset
+from bench.model import CATALOGUE
+from bench.report.diagnosis import words
+
+LISTED_PLACES: Final = 6
+LISTED_SHIFT: Final = 0.5
+"""A change of a coefficient below this part of its u is not worth a line."""
+
+
+def print_one(full: FullDiagnosis, out: Console) -> None:
+    """Print one diagnosis in the order in which it was made."""
+    diagnosis, shown = full.diagnosis, full.shown
+    _notes(full, "", out)
+    _mistakes(diagnosis, out)
+    _places(diagnosis, out)
+    for number, effect in enumerate(diagnosis.effects):
+        _effect(effect, full.rivals_of(number), out)
+    if diagnosis.effects:
+        _gap(diagnosis, shown, out)
+    if shown.after is not None:
+        _consequence(shown, out)
+    _limits_of_sight(full, out)
+    _files(full, out)
+    lead = words.LEAD[diagnosis.verdict].upper()
+    out.print(f"{full.source}: {lead}: {typeset(words.verdict_in_words(diagnosis))}", style="bold")
+
+
+def print_several(results: Sequence[FullDiagnosis], out: Console) -> None:
+    """Print a line for each of several diagnoses."""
+    table = Table(box=None, pad_edge=False)
+    for heading, side in (
+        ("source", "left"), ("verdict", "left"), ("what", "left"), ("p, all looks", "right"),
+        ("gap before", "right"), ("after", "right"), ("model", "left"),
+    ):  # fmt: skip
+        table.add_column(heading, justify=side)  # type: ignore[arg-type]
+    for full in results:
+        diagnosis, gap = full.diagnosis, full.diagnosis.gap
+        mistakes = diagnosis.mistakes.mistakes
+        looks = [*(one.p for one in mistakes), *(one.p_all_looks for one in diagnosis.effects)]
+        table.add_row(
+            full.source,
+            diagnosis.verdict,
+            words.alike_in_words([*mistakes, *diagnosis.effects]) or "nothing",
+            typeset(words.p_in_column(min(looks))) if looks else "",
+            *(f"{size:.2f}" if gap.opened else "–" for size in (gap.before, gap.after)),
+            str(full.model or ""),
+        )
+    for full in results:
+        _notes(full, f"{full.source}: ", out)
+    out.print(table)
+    out.print("gap: reduced chi-square of readings held out, 1 is noise alone")
+    for full in results:
+        if full.report:
+            out.print(f"report: {full.report}")
+
+
+def _notes(full: FullDiagnosis, lead: str, out: Console) -> None:
+    for note in full.diagnosis.notes:
+        out.print(f"note: {lead}{note}")
+    for row in full.skipped_rows:
+        out.print(f"left out: {row}")
+
+
+def _places(diagnosis: Diagnosis, out: Console) -> None:
+    if not diagnosis.where:
+        out.print("Readings and model disagree nowhere: no pattern of the residuals stands out of the noise")
+        return
+    out.print("Where readings and model disagree, the largest first:")
+    for place in diagnosis.where[:LISTED_PLACES]:
+        out.print(f"  {typeset(words.place_in_words(place))}")
+    more = len(diagnosis.where) - LISTED_PLACES
+    if more > 0:
+        out.print(f"  and {more} more")
+
+
+def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
+    for mistake in diagnosis.mistakes.mistakes:
+        out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
+        out.print("  what follows is from a copy with it put right; the record is as it was")
+
+
+def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
+    out.print(f"Found: {words.effect_title(effect)}", style="bold")
+    out.print(f"  {effect.words}")
+    for line in words.parameters_in_words(effect):
+        out.print(f"  {line}")
+    rho = f", {effect.rho:.1f} times the noise in all (rho)" if effect.rho is not None else ""
+    out.print(typeset(f"  {words.p_in_words(effect.p_all_looks)} with all looks counted{rho}"))
+    for other in effect.cannot_tell_from:
+        parts = [other, words.shift_in_words(ranking, other)]
+        if other in CATALOGUE:
+            parts.append(f"to tell them apart: {CATALOGUE[other].shown_by}")
+        out.print(f"  the data cannot tell it from {'; '.join(filter(None, parts))}")
+    for other in effect.plainer_than:
+        why = "would explain it with more parameters, the plainer one is taken"
+        parts = [f"{other} {why}", words.shift_in_words(ranking, other)]
+        out.print(f"  {'; '.join(filter(None, parts))}")
+
+
+def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
+    gap, after = diagnosis.gap, shown.after
+    if gap.opened:
+        out.print(
+            f"Gap on readings not used: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
+            f"(noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
+            f"{quantity(gap.before_rms, gap.unit)} before, {quantity(gap.after_rms, gap.unit)} after"
+        )
+    blind = [fold.label for fold in gap.folds if not fold.confirmable]
+    if blind:
+        out.print(f"  not counted, as without it the rest could not have shown it: {', '.join(blind)}")
+    if after is not None and after.tested:
+        with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
+        out.print(typeset(f"Simulated bench beside the readings: {with_it} with it, {without} without"))
+        if words.still_missing(shown):
+            out.print(f"  {words.STILL_MISSING}")
+    for line in words.joined_in_words(shown):
+        out.print(f"  {typeset(line)}")
+
+
+def _consequence(shown: Shown, out: Console) -> None:
+    coefficients = shown.coefficients
+    changed = [(name, one.in_u) for name, one in coefficients.items() if abs(one.in_u) >= LISTED_SHIFT]
+    if not changed:
+        return
+    changed.sort(key=lambda pair: -abs(pair[1]))
+    shifts = ", ".join(f"{name} by {in_u:+.1f} u" for name, in_u in changed)
+    out.print(typeset(f"Coefficients that change, in units of u before: {shifts}"))
+    wider = words.less_certain(coefficients)
+    if wider:
+        out.print(f"  less certain with it: {', '.join(wider)}")
+
+
+def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
+    diagnosis, proposal = full.diagnosis, full.next_measurement
+    if proposal is not None:
+        out.print(f"Measure next: {proposal.why} ({proposal.procedure})")
+    if diagnosis.hidden:
+        out.print(f"These readings could never show: {', '.join(diagnosis.hidden)}")
+    if diagnosis.verdict == "agrees":
+        sizes = [f"{name} {size}" for name, size in words.smallest_found(diagnosis)]
+        out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")
+
+
+def _files(full: FullDiagnosis, out: Console) -> None:
+    for what, file in (("model", full.model), ("report", full.report)):
+        if file is not None:
+            out.print(f"{what}: {file}")
+    if full.diagnosis.verdict == "confounded" and full.model is None:
+        out.print("no model file is written while the data cannot tell; --accept-first takes the first")

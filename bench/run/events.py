@@ -1,0 +1,174 @@
+"""What a run's record tells: its events, and what the steps of a plan bring."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from enum import StrEnum
+from typing import Any, Final
+
+from bench.readings.reading import Reading
+
+# --- results of steps -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """The block is mounted; `temperature_c` is what a person told, None where nobody was asked."""
+
+    temperature_c: float | None
+
+
+@dataclass(frozen=True)
+class Turned:
+    """The head was turned: where it stands, read back, and where it was to go."""
+
+    angle_deg: float
+    target_deg: float
+
+
+@dataclass(frozen=True)
+class TemperatureSet:
+    """The chamber was set."""
+
+    target_c: float
+
+
+@dataclass(frozen=True)
+class CameToRest:
+    """What was waited for has settled: how long that took and at which values, V or °C."""
+
+    settled_s: float
+    settled_at: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class InputSelected:
+    """The inputs were switched, to a reference of so many volts where it is one."""
+
+    source: str
+    reference_v: float | None
+
+
+@dataclass(frozen=True)
+class Answered:
+    """The person answered a question of the procedure."""
+
+    answer: str
+
+
+Result = Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered
+"""What a step brings; a wait brings none."""
+
+_KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered)
+"""Results, which their fields tell apart in a record."""
+
+
+def result_to_json(result: Result | None) -> dict[str, Any]:
+    """Return what is recorded of a step."""
+    if result is None:
+        return {}
+    return {"reading": result.to_json()} if isinstance(result, Reading) else asdict(result)
+
+
+def result_from_json(data: Mapping[str, Any]) -> Result | None:
+    """Return what a step brought from what is recorded of it."""
+    if "reading" in data:
+        return Reading.from_json(data["reading"])
+    for kind in _KINDS:
+        values: dict[str, Any] = {of.name: data[of.name] for of in fields(kind) if of.name in data}
+        if values:
+            return kind(**values)
+    return None
+
+
+# --- events -----------------------------------------------------------------------------------------
+
+
+class EventType(StrEnum):
+    """What may be recorded, with the names of what is told of it."""
+
+    RUN_STARTED = "run_started"
+    """`step`, the first one; `instruments`, their identities by name."""
+    RUN_RESUMED = "run_resumed"
+    """As of `run_started`."""
+    RUN_PAUSED = "run_paused"
+    """`reason`."""
+    RUN_CONTINUED = "run_continued"
+    RUN_FINISHED = "run_finished"
+    RUN_FAILED = "run_failed"
+    """`error`, a sentence; `instrument`."""
+    RUN_INTERRUPTED = "run_interrupted"
+    RUN_ABORTED = "run_aborted"
+    """`reason`."""
+    LEFT_SAFE = "left_safe"
+    """`to_do`, what a person must still do, by instrument."""
+    STEP_STARTED = "step_started"
+    """`step`, its place in the plan from 0; `key`; `attempt`, from 1."""
+    STEP_DONE = "step_done"
+    """As of `step_started`, and what the step brought."""
+    STEP_FAILED = "step_failed"
+    """`step`, `key`; `error`, a sentence."""
+    SKIPPED = "skipped"
+    """`first` and `last` of the steps; `reason`."""
+    REDO = "redo"
+    """`first` and `last` of the steps; `wish`."""
+    REMOUNTED = "remounted"
+    """`installation`, `series`, and `now_series` by which its further readings are known."""
+    EARLY_SIGN = "early_sign"
+    """`step`, and an early sign."""
+    WISH_REFUSED = "wish_refused"
+    """`wish`; `why`, a sentence."""
+    IMPORTED = "imported"
+    """`file`; `readings`, how many."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """One line of the record: its number, civil time, bench time in s since the run began, type, contents.
+
+    The type is an `EventType`, or one of a later version.
+    """
+
+    number: int
+    time: str
+    bench_s: float
+    type: str
+    data: dict[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as the record holds it, save for the hash of the line before."""
+        return {
+            "n": self.number,
+            "time": self.time,
+            "bench_s": self.bench_s,
+            "type": self.type,
+            **self.data,
+        }
+
+    @classmethod
+    def from_json(cls, line: Mapping[str, Any]) -> Event:
+        """Return a recorded event. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
+        data = dict(line)
+        number, time, bench_s, kind = (data.pop(name) for name in ("n", "time", "bench_s", "type"))
+        return cls(int(number), str(time), float(bench_s), str(kind), data)
+
+    @property
+    def step(self) -> int:
+        """The step that it is about."""
+        return int(self.data["step"])
+
+    @property
+    def steps(self) -> range:
+        """The steps that are skipped or to be done again."""
+        return range(int(self.data["first"]), int(self.data["last"]) + 1)
+
+    @property
+    def result(self) -> Result | None:
+        """What a step brought; None for events that are not the end of one, and a step that brought nothing."""
+        return result_from_json(self.data) if self.type == EventType.STEP_DONE else None
+
+    @property
+    def reading(self) -> Reading | None:
+        """The reading that a step brought, if it did."""
+        return result if isinstance(result := self.result, Reading) else None

@@ -1,0 +1,51 @@
+"""Records of an earlier version (see data/README.md): they are believed, evaluated as then, and gone on with."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bench.run.folder import Run
+
+RECORDS = Path(__file__).parents[1] / "data" / "records"
+
+
+@pytest.fixture(params=["finished", "interrupted"])
+def recorded(request, bench):
+    """The name of an old record in the folder of runs, brought to its end."""
+    shutil.copytree(RECORDS / request.param, Path("runs") / request.param)
+    if request.param == "interrupted":
+        assert Run(Path("runs/interrupted")).history.state == "interrupted"
+        assert bench("resume", request.param)[0] == 0
+    return request.param
+
+
+def comparable(value, of_float=float):
+    """A result without what belongs to one run or program, `of_float` taken of its numbers."""
+    if isinstance(value, dict):
+        own = {"source", "made_at", "versions"}
+        return {key: comparable(part, of_float) for key, part in value.items() if key not in own}
+    if isinstance(value, list):
+        return [comparable(part, of_float) for part in value]
+    return of_float(value) if isinstance(value, float) else value
+
+
+def within_rounding(value):
+    return pytest.approx(value, rel=1e-7, abs=1e-15)
+
+
+def test_an_old_record_is_whole_and_has_its_readings(bench, recorded):
+    run = Run(Path("runs") / recorded)
+    assert run.history.problems == ()
+    assert run.history.state == "finished"
+    assert "chain of hashes whole" in bench("show", recorded, "--verify")[1]
+    assert bench("export", recorded, "--csv", "-")[1] == (RECORDS / "readings.csv").read_bytes().decode()
+
+
+def test_an_old_record_evaluates_to_what_it_did(bench, recorded):
+    for command in ("calibrate", "verify"):
+        status, out, _ = bench(command, recorded, "--json", "-")
+        assert status == 0
+        expected = json.loads((RECORDS / f"{command}.json").read_text(encoding="utf-8"))
+        assert comparable(json.loads(out)) == comparable(expected, within_rounding)
