@@ -2,20 +2,36 @@
 PYTHON ?= python3
 VENV := .venv
 STAMP := $(VENV)/.installed
+PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 
-.PHONY: dry-run test lint blind-trial clean
+.PHONY: dry-run test test-quick coverage mutation lint hooks blind-trial clean
 
 dry-run: $(STAMP)
 	$(VENV)/bin/bench run paper --dry-run
 
 test: $(STAMP)
-	$(VENV)/bin/python -m pytest -n auto --dist loadfile
+	$(PYTEST)
+
+# Without the tests that are marked slow: what to run between two edits.
+test-quick: $(STAMP)
+	$(PYTEST) -m "not slow"
+
+coverage: $(STAMP)
+	$(PYTEST) --cov --cov-report=term:skip-covered
+
+# A few minutes; `make mutation MUTANTS=2000` takes hours.
+MUTANTS ?= 60
+mutation: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.mutation --mutants $(MUTANTS)
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+
+hooks: $(STAMP)
+	$(VENV)/bin/pre-commit install
 
 # PIP_CONSTRAINT reaches the isolated environment in which the package itself is built, too.
 $(STAMP): pyproject.toml constraints.txt
@@ -28,4 +44,4 @@ blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage .coverage.*

@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import combinations
 from statistics import median
 
@@ -27,6 +28,7 @@ from bench.analysis.budget.linear_noise import linear_noise
 from bench.analysis.budget.setup import Setup, make_setup
 from bench.analysis.budget.sources import bench_sources
 from bench.analysis.calibration.closed_form import closed_form
+from bench.base.arrays import Floats
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.procedure.load import load_procedure
@@ -47,7 +49,7 @@ def seconds(action: Callable[[], object], repeats: int = REPEATS) -> float:
     return median(spent)
 
 
-def with_gtc(gain: np.ndarray, signals: np.ndarray) -> np.ndarray:
+def with_gtc(gain: Floats, signals: Floats) -> Floats:
     inputs = [GTC.ureal(float(s), SIGMA_V) for s in signals]
     outputs = [sum(float(c) * x for c, x in zip(row, inputs, strict=True) if c) for row in gain]
     matrix = np.diag([GTC.variance(one) for one in outputs])
@@ -57,13 +59,13 @@ def with_gtc(gain: np.ndarray, signals: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def with_uncertainties(gain: np.ndarray, signals: np.ndarray) -> np.ndarray:
+def with_uncertainties(gain: Floats, signals: Floats) -> Floats:
     inputs = [uncertainties.ufloat(float(s), SIGMA_V) for s in signals]
     outputs = [sum(float(c) * x for c, x in zip(row, inputs, strict=True) if c) for row in gain]
     return np.array(uncertainties.covariance_matrix(outputs))
 
 
-def with_numpy(gain: np.ndarray, signals: np.ndarray) -> np.ndarray:
+def with_numpy(gain: Floats, signals: Floats) -> Floats:
     return (gain * SIGMA_V**2) @ gain.T
 
 
@@ -92,7 +94,7 @@ def main() -> int:
     for name, peer in (("GTC", with_gtc), ("uncertainties", with_uncertainties)):
         theirs = peer(gain, signals)
         worst = float(np.max(np.abs(theirs - ours)) / np.max(ours))
-        peer_s = seconds(lambda peer=peer: peer(gain, signals))
+        peer_s = seconds(partial(peer, gain, signals))
         print(f"{name:38} {1e3 * peer_s:9.4f} {peer_s / own_s:7.0f}   agrees to {worst:.0e}")
 
     rates = []
@@ -100,7 +102,7 @@ def main() -> int:
     whole = make_budget(setup, sources, "closed-form").gain[:, setup.fitted].reshape(12, -1)
     for name, matrix in (("54 signals to 12 values", gain), ("162 signals to 12 values", whole)):
         sigma = np.full(matrix.shape[1], SIGMA_V)
-        rate = TRIALS / seconds(lambda m=matrix, s=sigma: linear_noise(m, s, 1, TRIALS), 3)
+        rate = TRIALS / seconds(partial(linear_noise, matrix, sigma, 1, TRIALS), 3)
         rates.append(rate)
         print(f"{name:38} {rate:9.3g}")
     exact = make_budget(setup, sources)

@@ -75,7 +75,7 @@ def by_scipy(readings: Readings) -> tuple[np.ndarray, np.ndarray]:
 
     start = np.concatenate([np.diag([-2.2, -2.1, -2.1]).ravel(), np.zeros(9)])
     found = least_squares(left, start, x_scale=np.concatenate([np.ones(12), prior]))
-    covariance = np.linalg.inv(found.jac.T @ found.jac)
+    covariance = np.linalg.inv(np.asarray(found.jac).T @ np.asarray(found.jac))
     return found.x[:12], np.sqrt(np.diag(covariance))[:12]
 
 
@@ -139,17 +139,17 @@ def main() -> int:
     if imucal is None:
         print("imucal: not installed (pip install imucal)")
     else:
-        told = "imucal FerrarisCalibration.compute, 900 samples, no u"
-        print(f"{told:58}{median_ms(imucal, given.times):9.2f} ms")
+        what = "imucal FerrarisCalibration.compute, 900 samples, no u"
+        print(f"{what:58}{median_ms(imucal, given.times):9.2f} ms")
     signals = simulate_many(5, given.units, NOISE_V)
     conditions = tables[0].conditions()
     batch = median_ms(lambda k: calibrate_batch(signals, conditions, MODEL, STAND_U), 3) / given.units
     print(f"{f'batch of {given.units}, per unit, noise estimated':58}{batch:9.4f} ms")
     print(f"a loop of the default takes {default / batch:.0f} times as long as the batch")
     print(f"the default is {scipy_ms / default:.1f} times as fast as scipy")
-    told = agreement(tables[:5])
+    most = agreement(tables[:5])
     print(
-        f"largest difference from scipy's, which is of first order, the same noise given to both: {told:.3f} u"
+        f"largest difference from scipy's, which is of first order, the same noise given to both: {most:.3f} u"
     )
     kept = default < DEFAULT_MS and default / batch >= BATCH_RATIO
     print(

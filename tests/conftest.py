@@ -2,6 +2,8 @@
 
 import io
 import os
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture
-def empty_folder(tmp_path, monkeypatch):
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work in an empty folder, with nothing preset."""
     monkeypatch.chdir(tmp_path)
     for name in ("BENCH_FILE", "BENCH_RUNS"):
@@ -18,10 +20,12 @@ def empty_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def bench(capsys, empty_folder):
+def bench(
+    capsys: pytest.CaptureFixture[str], empty_folder: None
+) -> Callable[..., tuple[int | str | None, str, str]]:
     """Run a command; return (exit status, standard output, standard error)."""
 
-    def call(*arguments, stdin=""):
+    def call(*arguments: object, stdin: str = "") -> tuple[int | str | None, str, str]:
         from bench.cli.app import main
 
         with pytest.MonkeyPatch.context() as patch:

@@ -35,9 +35,23 @@ CTRL_C = 130
 """What the command-line library makes of a Ctrl-C."""
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        from importlib import metadata
+
+        print(f"bench {metadata.version('triaxial-bench')}")
+        raise typer.Exit
+
+
 @app.callback()
 def _common(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the program's version.", is_eager=True, callback=_print_version
+        ),
+    ] = False,
 ) -> None:
     """Calibrates triaxial accelerometer blocks on a dividing head."""
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.evidence import Whitened
@@ -56,7 +58,7 @@ def diagnose_case(case: Case) -> dict[str, Any]:
     """
     bench, model, stand_u, thresholds = _bench()
     thresholds.key = (case.design, case.reading_noise_v)
-    nominal = bench.unit_under_test.scale_factors.values
+    nominal = np.array(bench.unit_under_test.scale_factors.values)
     found = diagnose(case.readings, model, stand_u, nominal, thresholds)
     points = None
     if found.verdict == "named":

@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.arrays import Floats
+Floats = NDArray[np.float64]
 
+ARCSEC: Final = np.pi / 648000
 _HALF = np.sqrt(0.5)
 
 AXES: Final[dict[str, Floats]] = {

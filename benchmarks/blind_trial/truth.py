@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS
 from benchmarks.blind_trial.designs import Run
 from benchmarks.blind_trial.geometry import Floats
 
 Stage = Literal["stand", "block", "voltmeter"]
 Act = Callable[[Run, Floats, float], Floats]
 Shift = dict[str, Floats | float]
+CHANNELS: Final = ("x", "y", "z")
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from drivers.wire.prologix import parse
 from drivers.zaber.driver import SERIAL, ZaberHead
 from sim.wires.pty import TERMINALS
 from tests.support.composed_bench import composing, edited, read
+from tests.support.patience import PATIENCE_S
 
 THERMOTRON = """\
   chamber:
@@ -292,7 +293,7 @@ steps:
 
 def ask(address, *lines):
     host, port = address.split(":")
-    with socket.create_connection((host, int(port)), timeout=10.0) as connection:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as connection:
         connection.sendall("".join(f"{line}\n" for line in lines).encode())
         with connection.makefile("r", encoding="utf-8") as replies:
             return replies.readline().strip()

@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +21,7 @@ from bench.files.shipped import find_bench
 from bench.model import ForwardModel
 from sim.wires.pty import TERMINALS
 from sim.world.clock import ScaledClock
+from tests.support.patience import PATIENCE_S, wait_for
 
 
 @contextmanager
@@ -33,7 +33,7 @@ def serving(name: str = "paper-stand", **options: Any) -> Iterator[Any]:
 
 def ask(address: str, *lines: str) -> list[str]:
     host, port = address.split(":")
-    with socket.create_connection((host, int(port)), timeout=10.0) as connection:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as connection:
         connection.sendall("".join(f"{line}\n" for line in lines).encode())
         with connection.makefile("r", encoding="utf-8") as replies:
             return [replies.readline().rstrip("\n") for _ in lines]
@@ -65,11 +65,7 @@ def test_it_serves_until_a_signal_and_ends_with_0(tmp_path: Path, number: int) -
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
     try:
-        deadline = time.monotonic() + 30.0
-        while not ready.exists():
-            assert process.poll() is None, process.communicate()[0]
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_for(ready.exists, process)
         told = json.loads(ready.read_text())
         names = [instrument["name"] for instrument in told["instruments"]]
         assert names == ["voltmeter.x", "voltmeter.y", "voltmeter.z"]
@@ -79,7 +75,7 @@ def test_it_serves_until_a_signal_and_ends_with_0(tmp_path: Path, number: int) -
             assert (instrument["pty"] is not None) == TERMINALS
             assert not TERMINALS or Path(instrument["pty"]).exists()
         process.send_signal(number)
-        output = process.communicate(timeout=20.0)[0].decode()
+        output = process.communicate(timeout=PATIENCE_S)[0].decode()
         assert process.returncode == 0, output
         assert all(instrument["tcp"] in output for instrument in told["instruments"])
         assert told["control"] in output

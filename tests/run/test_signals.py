@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from bench.run.folder import Run
 from bench.run.record import read_history
 from bench.run.signals import Interrupts
+from tests.support.patience import PATIENCE_S, wait_for
 
 LONG = """\
 procedure: long
@@ -64,11 +65,9 @@ def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
         text=True,
     )
     events = Path(tmp_path / "runs/hit/events.jsonl")
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline and not (events.exists() and events.stat().st_size > 20_000):
-        time.sleep(0.01)
+    wait_for(lambda: events.exists() and events.stat().st_size > 20_000, process)
     process.send_signal(number)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=PATIENCE_S)
     history = read_history(tmp_path / "runs/hit")
     assert history.problems == ()
     assert len(Run(tmp_path / "runs/hit").readings()) >= 5
@@ -91,18 +90,20 @@ def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
             [*command, *arguments], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
 
-    begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "whole").wait(timeout=60)
+    begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "whole").wait(timeout=PATIENCE_S)
     whole = Run(tmp_path / "runs/whole").readings()
     events = tmp_path / "runs/hit/events.jsonl"
+
+    def grown(size):
+        return events.exists() and events.stat().st_size > size
+
     process = begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "hit")
     for size in (20_000, 60_000, 110_000):
-        deadline = time.monotonic() + 30
-        while time.monotonic() < deadline and not (events.exists() and events.stat().st_size > size):
-            time.sleep(0.005)
+        wait_for(partial(grown, size), process)
         process.kill()
-        process.wait(timeout=30)
+        process.wait(timeout=PATIENCE_S)
         process = begin("resume", "hit")
-    process.wait(timeout=60)
+    process.wait(timeout=PATIENCE_S)
     run = Run(tmp_path / "runs/hit")
     assert run.history.state == "finished"
     steps = [e.data["step"] for e in run.history.events if "reading" in e.data]
@@ -118,20 +119,18 @@ def test_a_run_is_paused_and_aborted_from_another_program(tmp_path):
     process = subprocess.Popen([*command, "run", "long.yaml", "--dry-run", "--name", "hit"], **options)  # noqa: S603
     events = Path(tmp_path / "runs/hit/events.jsonl")
 
-    def wait_for(text):
-        deadline = time.monotonic() + 30
-        while time.monotonic() < deadline and not (events.exists() and text in events.read_text()):
-            time.sleep(0.01)
+    def wait_for_event(text):
+        wait_for(lambda: events.exists() and text in events.read_text(), process)
 
-    wait_for("step_done")
+    wait_for_event("step_done")
     say = [*command, "control", "hit"]
     assert subprocess.run([*say, "pause"], **options, check=False).returncode == 0  # noqa: S603
-    wait_for("run_paused")
+    wait_for_event("run_paused")
     size = events.stat().st_size
     assert subprocess.run([*say, "skip"], **options, check=False).returncode == 2  # noqa: S603
     assert events.stat().st_size == size
     subprocess.run([*say, "abort", "wrong block"], **options, check=True)  # noqa: S603
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2
     assert "aborted: wrong block" in err
     assert read_history(tmp_path / "runs/hit").state == "aborted"

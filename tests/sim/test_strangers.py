@@ -12,6 +12,7 @@ from bench.model.geometry import INSTALLATION_1
 from sim.bench import SimulatedBench, SimulatedMeter
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
+from tests.support.patience import PATIENCE_S
 
 BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
 
@@ -27,7 +28,7 @@ class Client:
     """A raw socket."""
 
     def __init__(self, bench: SimulatedBench) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", bench.servers["v"].port), timeout=5.0)
+        self.socket = socket.create_connection(("127.0.0.1", bench.servers["v"].port), timeout=PATIENCE_S)
         self.lines = self.socket.makefile("rb")
 
     def ask(self, message: bytes) -> bytes:
@@ -148,7 +149,7 @@ def test_a_client_that_polls_for_the_end_with_the_status_byte(client: Client) ->
 
 def test_a_client_that_closes_its_sending_side_still_gets_its_reply(bench: SimulatedBench) -> None:
     """As `echo 'READ?' | nc host port` does."""
-    with socket.create_connection(("127.0.0.1", bench.servers["v"].port), timeout=5.0) as client:
+    with socket.create_connection(("127.0.0.1", bench.servers["v"].port), timeout=PATIENCE_S) as client:
         client.sendall(b"READ?\n")
         client.shutdown(socket.SHUT_WR)
         with client.makefile("rb") as lines:
@@ -159,7 +160,7 @@ def test_pyvisa_scripts(bench: SimulatedBench) -> None:
     visa = pyvisa.ResourceManager("@py").open_resource(bench.resources["v"])
     assert isinstance(visa, pyvisa.resources.MessageBasedResource)
     visa.read_termination = "\n"
-    visa.timeout = 5000
+    visa.timeout = int(1000 * PATIENCE_S)
     assert visa.query("*IDN?").split(",")[1] == "34401A"
     visa.write("*RST")
     visa.write("CONF:VOLT:DC 10,0.003")

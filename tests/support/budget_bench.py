@@ -1,10 +1,12 @@
 """The paper's bench as a setup for budgets: (11), 54 readings, four verification points turned by psi about z."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import stand_source
-from bench.model import Block, Conditions, Distribution, ForwardModel, Installation
+from bench.analysis.budget.sources import ErrorSource, stand_source
+from bench.model import AppliedEffect, Block, Conditions, Distribution, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import ARCSEC, U0, K, design
 
@@ -20,7 +22,14 @@ ONE_SIGMA = {
 COEFFICIENTS = [f"K{i}{j}" for i in "xyz" for j in "xyz"] + ["U0x", "U0y", "U0z"]
 
 
-def paper_setup(*, passes=3, points=9, psi_deg=45.0, effects=(), meters=(0, 1, 2)):
+def paper_setup(
+    *,
+    passes: int = 3,
+    points: int = 9,
+    psi_deg: float = 45.0,
+    effects: Sequence[AppliedEffect] = (),
+    meters: tuple[int, int, int] = (0, 1, 2),
+) -> Setup:
     installation, pass_number, point, phi = design(passes, points)
     turned = Installation.from_axes("V", ("x", "y", "z"), np.radians(psi_deg), "z")
     model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2, "V": turned}, tuple(effects))
@@ -33,7 +42,9 @@ def paper_setup(*, passes=3, points=9, psi_deg=45.0, effects=(), meters=(0, 1, 2
     return Setup(model, conditions, Block(K, U0), meters)
 
 
-def stand(sizes=None, dof=None):
+def stand(
+    sizes: Mapping[str, float] | None = None, dof: Mapping[str, float] | None = None
+) -> list[ErrorSource]:
     """The stand's sources, normal, of these standard uncertainties."""
     sizes = ONE_SIGMA if sizes is None else sizes
     return [stand_source(n, Distribution(u), (dof or {}).get(n, np.inf)) for n, u in sizes.items()]

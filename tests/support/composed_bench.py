@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.assembly.served import Assembly, dry_bench
+from bench.base.arrays import CHANNELS
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
 from bench.run.workbench import Instruments
-from drivers.interfaces import VoltmeterSettings
+from drivers.interfaces import Channel, VoltmeterSettings
 
 READING = VoltmeterSettings(10.0, 1.0, 3)
 
@@ -50,7 +51,7 @@ def read(instruments: Instruments) -> np.ndarray:
         meter.configure(READING)
     for meter in instruments.voltmeters:
         meter.start()
-    fetched: dict[str, tuple[float, ...]] = {}
+    fetched: dict[Channel, tuple[float, ...]] = {}
     for meter in instruments.voltmeters:
         fetched |= meter.fetch()
-    return np.array([np.mean(fetched[channel]) for channel in "xyz"])
+    return np.array([np.mean(fetched[channel]) for channel in CHANNELS])

@@ -4,8 +4,11 @@ Two installations turned by PSI, so that all axes of the block feel gravity; a r
 each; the second pass is scanned in reverse. Forces come from support/paper_bench.py, not from the application.
 """
 
+from typing import Any
+
 import numpy as np
 
+from bench.base.arrays import Floats
 from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, ForwardModel, Installation
 from tests.support.paper_bench import ARCSEC, U0, K, specific_force
 
@@ -38,7 +41,9 @@ STAND = np.array([[3, -4, 70, 0, 20], [-2, 5, -60, 0, -30]]) * ARCSEC
 ALPHA4 = 4 * ARCSEC * np.cos(2.3 * np.arange(36))
 
 
-def force(phi=0.0, alpha1=0.0, alpha2=0.0, alpha3=0.0, alpha5=0.0):
+def force(
+    phi: float = 0.0, alpha1: float = 0.0, alpha2: float = 0.0, alpha3: float = 0.0, alpha5: float = 0.0
+) -> Floats:
     """The force at the stand's angles, each larger by so much, rad."""
     a1, a2, a3, _, a5 = STAND[SECOND.astype(int)].T
     return specific_force(
@@ -46,17 +51,19 @@ def force(phi=0.0, alpha1=0.0, alpha2=0.0, alpha3=0.0, alpha5=0.0):
     )
 
 
-def readings(*effects, conditions=CONDITIONS):
+def readings(*effects: AppliedEffect, conditions: Conditions = CONDITIONS) -> Floats:
     """What the application's model reads."""
     return ForwardModel(INSTALLATIONS, effects).readings(BLOCK, conditions, STAND, ALPHA4)
 
 
-def effect(name, installations=(), **values):
-    values = {key: np.asarray(value, dtype=float) for key, value in values.items()}
-    return AppliedEffect(CATALOGUE[name], values, installations=installations)
+def effect(name: str, installations: tuple[str, ...] = (), **values: Any) -> AppliedEffect:
+    arrays = {key: np.asarray(value, dtype=float) for key, value in values.items()}
+    return AppliedEffect(CATALOGUE[name], arrays, installations=installations)
 
 
-def added(name, installations=(), conditions=CONDITIONS, **values):
+def added(
+    name: str, installations: tuple[str, ...] = (), conditions: Conditions = CONDITIONS, **values: Any
+) -> Floats:
     """What one effect adds to the readings of the application's model, V."""
     one = effect(name, installations, **values)
     return readings(one, conditions=conditions) - readings(conditions=conditions)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.analysis.calibration import Calibration, calibrate
+from bench.base.arrays import Floats
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
@@ -29,39 +30,40 @@ STAND_WITH_ROLL = STAND_U | {"mounting_roll": ROLL_U}
 class Runs:
     """Errors and stated u of the coefficients (runs, 12) by both estimators; the fit's p and noise sizes."""
 
-    error: np.ndarray
-    u: np.ndarray
-    error_closed: np.ndarray
-    u_closed: np.ndarray
-    p: np.ndarray
-    reading: np.ndarray
-    setting_rad: np.ndarray
+    error: Floats
+    u: Floats
+    error_closed: Floats
+    u_closed: Floats
+    p: Floats
+    reading: Floats
+    setting_rad: Floats
 
     @property
-    def z(self) -> np.ndarray:
+    def z(self) -> Floats:
         """Root mean square of error over u, least squares."""
         return rms(self.error / self.u)
 
     @property
-    def z_closed(self) -> np.ndarray:
+    def z_closed(self) -> Floats:
         """Root mean square of error over u, closed form."""
         return rms(self.error_closed / self.u_closed)
 
     @property
-    def gain(self) -> np.ndarray:
+    def gain(self) -> Floats:
         """How many times smaller the errors of least squares are than those of the closed form."""
         return rms(self.error_closed) / rms(self.error)
 
     @property
-    def paired_t(self) -> np.ndarray:
+    def paired_t(self) -> Floats:
         """Mean of (closed form's squared error - least squares') over its standard error; negative is worse."""
         difference = self.error_closed**2 - self.error**2
-        return difference.mean(axis=0) / (difference.std(axis=0, ddof=1) / np.sqrt(len(difference)))
+        spread = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
+        return np.asarray(difference.mean(axis=0) / spread)
 
 
-def rms(values: np.ndarray) -> np.ndarray:
+def rms(values: Floats) -> Floats:
     """Root mean square over the runs."""
-    return np.sqrt(np.mean(np.square(values), axis=0))
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
 
 
 def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
@@ -85,13 +87,13 @@ def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
     return Runs(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def free_forces(count: int, rng: np.random.Generator) -> np.ndarray:
+def free_forces(count: int, rng: np.random.Generator) -> Floats:
     """Directions all round, uniform on the sphere, shape (count, 3): the specific force in free positions."""
     directions = rng.normal(size=(count, 3))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-def with_free(readings: Readings, forces: np.ndarray, noise: np.ndarray | float) -> Readings:
+def with_free(readings: Readings, forces: Floats, noise: Floats | float) -> Readings:
     """The readings with further rows F, in which the block of (11) feels `forces` (m, 3), g."""
     count = len(forces)
     return make_readings(
@@ -116,7 +118,7 @@ def simulate_with_roll(rng: np.random.Generator, noise_v: float, passes: int, co
     return with_free(readings, free_forces(count, rng), rng.normal(0.0, noise_v, (count, 3)))
 
 
-def run_joined(seed: int, numbers: range, noise_v: float, passes: int = 3, count: int = 8) -> np.ndarray:
+def run_joined(seed: int, numbers: range, noise_v: float, passes: int = 3, count: int = 8) -> Floats:
     """(estimate - truth)/u (runs, 12) where free positions join; run k has the seed [seed, k]."""
     results: list[Calibration] = [
         calibrate(
@@ -130,13 +132,14 @@ def run_joined(seed: int, numbers: range, noise_v: float, passes: int = 3, count
     return np.array([(r.block.vector - TRUTH) / r.u for r in results])
 
 
-def simulate_many(seed: int, runs: int, noise_v: float) -> np.ndarray:
+def simulate_many(seed: int, runs: int, noise_v: float) -> Floats:
     """Signals (runs, 54, 3) of as many runs of the paper's procedure, each with stand errors of its own."""
     rng = np.random.default_rng(seed)
     installation, _, _, phi = design()
     at = np.array([int(i) - 1 for i in installation])
     stand = rng.normal(0.0, list(STAND_U.values()), (runs, 2, 3))[:, at].reshape(-1, 3)
     setting = rng.normal(0.0, SETTING_U_RAD, len(stand))
-    force = specific_force(installation * runs, np.tile(phi, runs), *stand.T, setting)
+    alpha1, alpha2, alpha3 = stand.T
+    force = specific_force(installation * runs, np.tile(phi, runs), alpha1, alpha2, alpha3, setting)
     signal = force @ K.T + U0 + rng.normal(0.0, noise_v, force.shape)
-    return signal.reshape(runs, len(phi), 3)
+    return np.asarray(signal.reshape(runs, len(phi), 3))

@@ -1,16 +1,24 @@
 """Runs of the paper's procedure with mistakes and effects in them, from support/paper_bench.py's own geometry."""
 
+from collections.abc import Callable, Collection
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bench.analysis.mistakes.search import find_mistakes
+from bench.analysis.mistakes.search import MistakeSearch, find_mistakes
+from bench.base.arrays import Floats
 from bench.model import ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.readings.table import make_readings
+from bench.readings.table import Readings, make_readings
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
-PSI = np.radians(45)
+Labels = NDArray[np.str_]
+Numbers = NDArray[np.int64]
+Added = Callable[[Labels, Numbers, Floats, Floats, Floats], Floats]
+
+PSI = float(np.radians(45))
 MODEL = ForwardModel(
     {"1": INSTALLATION_1, "2": INSTALLATION_2, "V": Installation.from_axes("V", ("x", "y", "z"), PSI, "z")}
 )
@@ -19,7 +27,17 @@ NOISE_V = 15e-6
 ORDERS = ((1, 0, 2), (2, 1, 0), (0, 2, 1), (1, 2, 0), (2, 0, 1))
 
 
-def run(seed, *, noise_v=NOISE_V, passes=3, off=None, stand=1.0, added=None, falling=(), known=True):
+def run(
+    seed: int,
+    *,
+    noise_v: float = NOISE_V,
+    passes: int = 3,
+    off: tuple[int, float] | None = None,
+    stand: float = 1.0,
+    added: Added | None = None,
+    falling: Collection[int] = (),
+    known: bool = True,
+) -> Readings:
     """A run of the paper's procedure with its four verification points at the end.
 
     `off` (row, rad) is a wrong setting; `stand` enlarges the stand's errors; `added(labels, passes, phi, force,
@@ -27,7 +45,7 @@ def run(seed, *, noise_v=NOISE_V, passes=3, off=None, stand=1.0, added=None, fal
     """
     rng = np.random.default_rng(seed)
     labels, numbers, points, phi = design(passes)
-    down = np.isin(numbers, falling)
+    down = np.isin(numbers, list(falling))
     phi = np.where(down, 2 * np.pi - phi, phi)
     labels, numbers, points = labels + ["V"] * 4, numbers + [1] * 4, [*points, 1, 2, 3, 4]
     phi = np.append(phi, np.radians([45, 135, 225, 315]))
@@ -42,8 +60,8 @@ def run(seed, *, noise_v=NOISE_V, passes=3, off=None, stand=1.0, added=None, fal
     for number in range(3):
         rows = mount == number
         own = [label for label in labels if mount[labels.index(label)] == number]
-        errors = (a[rows] for a in alpha)
-        force[rows] = specific_force(own, phi[rows], *errors, setting[rows], psi=psi[number])
+        a1, a2, a3 = (a[rows] for a in alpha)
+        force[rows] = specific_force(own, phi[rows], a1, a2, a3, setting[rows], psi=psi[number])
     signal = force @ K.T + U0 + rng.normal(0, noise_v, (len(phi), 3))
     readings = make_readings(
         labels,
@@ -61,11 +79,13 @@ def run(seed, *, noise_v=NOISE_V, passes=3, off=None, stand=1.0, added=None, fal
     return readings
 
 
-def find(readings, **options):
+def find(readings: Readings, **options: Any) -> MistakeSearch:
     return find_mistakes(readings, MODEL, STAND_U, NOMINAL, **options)
 
 
-def place(rng, readings, scope):
+def place(
+    rng: np.random.Generator, readings: Readings, scope: str
+) -> tuple[NDArray[np.bool_], tuple[str, ...], int | None]:
     """A mask of rows, and the installations and the pass that name it."""
     label, number = str(rng.integers(1, 3)), int(rng.integers(1, 4))
     if scope == "run":
@@ -76,17 +96,17 @@ def place(rng, readings, scope):
     return own & (readings.pass_number == number), (label,), number
 
 
-def turned_back(readings, mask):
+def turned_back(readings: Readings, mask: NDArray[np.bool_]) -> Readings:
     return replace(readings, angle_rad=np.where(mask, -readings.angle_rad, readings.angle_rad))
 
 
-def with_signal(readings, mask, change):
+def with_signal(readings: Readings, mask: NDArray[np.bool_], change: Callable[[Floats], Floats]) -> Readings:
     signal = readings.signal.copy()
     signal[mask] = change(signal[mask])
     return replace(readings, signal=signal)
 
 
-def keys(readings):
+def keys(readings: Readings) -> list[tuple[str, int, int]]:
     return list(
         zip(
             readings.installation.tolist(),
@@ -97,50 +117,50 @@ def keys(readings):
     )
 
 
-def outlier_v(readings, row, channel, sigma, noise_v):
+def outlier_v(readings: Readings, row: int, channel: int, sigma: float, noise_v: float) -> float:
     """The shift of one signal that is so many standard deviations, the setting error being known in size."""
     h = 1e-5
     label, phi = [str(readings.installation[row])], readings.angle_rad[row : row + 1]
     slope = ((specific_force(label, phi + h) - specific_force(label, phi - h)) @ K.T / (2 * h))[0]
     covariance = noise_v**2 * np.eye(3) + SETTING_U_RAD**2 * np.outer(slope, slope)
-    return sigma / np.sqrt(np.linalg.inv(covariance)[channel, channel])
+    return sigma / float(np.sqrt(np.linalg.inv(covariance)[channel, channel]))
 
 
-def with_outlier(readings, row, channel, shift_v):
+def with_outlier(readings: Readings, row: int, channel: int, shift_v: float) -> Readings:
     signal = readings.signal.copy()
     signal[row, channel] += shift_v
     return replace(readings, signal=signal)
 
 
-def warm_up(tau_min):
-    def added(_labels, _numbers, phi, _force, _slope):
+def warm_up(tau_min: float) -> Added:
+    def added(_labels: Labels, _numbers: Numbers, phi: Floats, _force: Floats, _slope: Floats) -> Floats:
         minutes = 2.0 * np.arange(len(phi))
-        return 500e-6 * np.exp(-minutes / tau_min)[:, None] * np.diag(K)
+        return np.asarray(500e-6 * np.exp(-minutes / tau_min)[:, None] * np.diag(K))
 
     return added
 
 
-def square(_labels, _numbers, _phi, force, _slope):
+def square(_labels: Labels, _numbers: Numbers, _phi: Floats, force: Floats, _slope: Floats) -> Floats:
     return 200e-6 * force**2 * np.diag(K) * [1, 0, 1]
 
 
-def eccentricity(_labels, _numbers, phi, _force, slope):
+def eccentricity(_labels: Labels, _numbers: Numbers, phi: Floats, _force: Floats, slope: Floats) -> Floats:
     return 30 * ARCSEC * np.cos(phi - 1.0)[:, None] * slope
 
 
-def backlash(_labels, numbers, _phi, _force, slope):
+def backlash(_labels: Labels, numbers: Numbers, _phi: Floats, _force: Floats, slope: Floats) -> Floats:
     return 100 * ARCSEC * np.where(numbers == 2, -1, 1)[:, None] * slope
 
 
-def graduation(_labels, _numbers, phi, _force, slope):
-    return 30 * ARCSEC * (np.abs(phi - np.radians(135)) < 0.1)[:, None] * slope
+def graduation(_labels: Labels, _numbers: Numbers, phi: Floats, _force: Floats, slope: Floats) -> Floats:
+    return np.asarray(30 * ARCSEC * (np.abs(phi - np.radians(135)) < 0.1)[:, None] * slope)
 
 
-def remounted(labels, _numbers, _phi, _force, _slope):
-    return 500e-6 * np.diag(K) * (labels == "2")[:, None]
+def remounted(labels: Labels, _numbers: Numbers, _phi: Floats, _force: Floats, _slope: Floats) -> Floats:
+    return np.asarray(500e-6 * np.diag(K) * (labels == "2")[:, None])
 
 
-EFFECTS = {
+EFFECTS: dict[str, dict[str, Any]] = {
     "quadratic nonlinearity, 200 ug/g2": {"added": square},
     "eccentricity, 30 arcsec": {"added": eccentricity},
     "warm-up of 10 min, 500 ug": {"added": warm_up(10.0)},

@@ -6,13 +6,15 @@ cannot cancel out.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bench.base.arrays import ARCSEC
 from bench.readings.table import Readings, make_readings
 
+ARCSEC = np.pi / 648000
+
 # paper (11), V/g and V
-K = np.array(
+K: NDArray[np.float64] = np.array(
     [[-2.177087, -0.018243, 0.025027], [0.026542, -2.139892, 0.032755], [0.006754, 0.006026, -2.144367]]
 )
 U0 = np.array([0.071469, -0.196485, -0.411789])

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from bench.base.forms import FileMistakes
-from bench.procedure.load import load_procedure
-from bench.procedure.plan import Read
+from bench.procedure.load import Procedure, load_procedure
+from bench.procedure.plan import Plan, Read
 
 HEAD = "procedure: p\nreading: {samples: 3, nplc: 1, settle: 2 s}\nsteps:\n"
 
 
-def load_steps(folder, steps, head=HEAD, **files):
+def load_steps(folder: Path, steps: str, head: str = HEAD, **files: str) -> Procedure:
     """Load a procedure of these steps; `files` are what it includes, by name."""
     for name, text in files.items():
         (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
@@ -21,16 +21,18 @@ def load_steps(folder, steps, head=HEAD, **files):
     return load_procedure(path)
 
 
-def mistakes_in(folder, steps, head=HEAD, **files):
+def mistakes_in(folder: Path, steps: str, head: str = HEAD, **files: str) -> list[str]:
     """Return the mistakes in it: file, line, place, what is wrong."""
     with pytest.raises(FileMistakes) as error:
         load_steps(folder, steps, head, **files)
     return [f"{Path(m.file).name}{m.line} {m.place}: {m.text}" for m in error.value.mistakes]
 
 
-def reads(plan):
-    return [
-        (s.installation, s.pass_number, s.point, round(math.degrees(s.target_rad)), s.direction)
-        for s in plan.steps
-        if isinstance(s, Read)
-    ]
+def reads(plan: Plan) -> list[tuple[str, int, int, int, int | None]]:
+    found: list[tuple[str, int, int, int, int | None]] = []
+    for s in plan.steps:
+        if isinstance(s, Read):
+            assert s.target_rad is not None
+            degrees = round(math.degrees(s.target_rad))
+            found.append((s.installation, s.pass_number, s.point, degrees, s.direction))
+    return found

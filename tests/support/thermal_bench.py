@@ -1,5 +1,7 @@
 """Simulated readings over temperature with known coefficients, by the tests' own geometry."""
 
+from typing import Any
+
 import numpy as np
 
 from bench.model import ForwardModel
@@ -46,7 +48,9 @@ def simulate(
     is that of installation 2, where it is another.
     """
     one, pass_number, point, phi = design(passes)
-    columns: dict[str, list] = {n: [] for n in ("label", "pass", "point", "series", "phi", "t", "branch")}
+    columns: dict[str, list[Any]] = {
+        n: [] for n in ("label", "pass", "point", "series", "phi", "t", "branch")
+    }
     for label, temperatures in (("1", cycle), ("2", cycle_2 or cycle)):
         rows = [k for k, name in enumerate(one) if name == label]
         for series, (target, branch) in enumerate(zip(temperatures, branches(temperatures), strict=True), 1):
@@ -60,8 +64,10 @@ def simulate(
     n = len(columns["label"])
     angle, temperature = np.array(columns["phi"]), np.array(columns["t"])
     sizes = [STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")]
-    errors = rng.normal(0.0, sizes, (2, 3))[[int(label) - 1 for label in columns["label"]]].T
-    force = specific_force(columns["label"], angle, *errors, rng.normal(0.0, SETTING_U_RAD, n))
+    at_label = [int(label) - 1 for label in columns["label"]]
+    alpha1, alpha2, alpha3 = rng.normal(0.0, sizes, (2, 3))[at_label].T
+    setting = rng.normal(0.0, SETTING_U_RAD, n)
+    force = specific_force(columns["label"], angle, alpha1, alpha2, alpha3, setting)
     at = coefficients(polynomials, temperature) + np.outer(columns["branch"], np.ones(12)) * hysteresis / 2
     signal = np.einsum("nij,nj->ni", at[:, :9].reshape(n, 3, 3), force) + at[:, 9:]
     return make_readings(

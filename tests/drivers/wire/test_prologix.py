@@ -1,68 +1,25 @@
-"""GPIB through an adapter: the transport, the simulated adapter, and a bench of three meters over both."""
+"""GPIB through an adapter: the transport, and a bench of three meters over it."""
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
-import pyvisa
 
-from bench.model import Block, ForwardModel
-from bench.model.geometry import INSTALLATION_1
 from drivers.agilent_34401a.driver import Agilent34401A as Driver
-from drivers.interfaces import Channel, InstrumentLost, VoltmeterSettings
+from drivers.interfaces import InstrumentLost, VoltmeterSettings
 from drivers.wire.causes import WireError
 from drivers.wire.prologix import parse
 from drivers.wire.visa import MessageSession
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench
-from sim.wires.prologix import UNRECOGNIZED, AdapterSettings, GpibAdapter
-from sim.world.clock import VirtualClock
-from sim.world.world import World, WorldSettings
-
-IDENTITY = "HEWLETT-PACKARD,34401A,0,11-5-2"
-ADDRESSES: dict[Channel, int] = {"x": 22, "y": 23, "z": 24}
-NO_ERROR = '+0,"No error"'
-
-
-def a_world() -> World:
-    block = Block(
-        np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
-        np.array([0.07, -0.2, -0.41]),
-    )
-    return World(WorldSettings(block, ForwardModel({"1": INSTALLATION_1}), {}, seed=5), VirtualClock())
-
-
-class Bus:
-    """Three 34401A on a GPIB bus, and the adapter that leads to it."""
-
-    def __init__(self, **options: object) -> None:
-        self.world = a_world()
-        self.adapter = GpibAdapter(self.world.clock, **options)  # type: ignore[arg-type]
-        self.meters = {
-            channel: self.adapter.attach(a, self._meter(channel)) for channel, a in ADDRESSES.items()
-        }
-
-    def _meter(self, channel: Channel) -> Callable[[object], Agilent34401A]:
-        def make(clock: object) -> Agilent34401A:
-            return Agilent34401A(
-                self.world.terminals(channel),
-                clock,  # type: ignore[arg-type]
-                interface="gpib",
-                noise=False,
-            )
-
-        return make
-
-
-@contextmanager
-def served(bus: Bus) -> Iterator[SimulatedBench]:
-    with SimulatedBench(bus.world, {"adapter": bus.adapter}) as bench:
-        yield bench
+from sim.wires.prologix import AdapterSettings, GpibAdapter
+from tests.support.gpib_bus import ADDRESSES, IDENTITY, NO_ERROR, Bus, a_world, served
+from tests.support.patience import PATIENCE_S
 
 
 @contextmanager
@@ -294,155 +251,7 @@ def test_closing_ends_a_long_wait_of_another_thread() -> None:
 
         thread = threading.Thread(target=wait)
         thread.start()
-        begun.wait(5.0)
+        begun.wait(PATIENCE_S)
         wire.close()
-        thread.join(10.0)
+        thread.join(PATIENCE_S)
     assert len(ended) == 1
-
-
-# --- the simulated adapter --------------------------------------------------------------------------
-
-
-def tell(bus: Bus, *lines: str | bytes) -> list[bytes]:
-    replies = [bus.adapter.handle(line.encode() if isinstance(line, str) else line) for line in lines]
-    return [reply for reply in replies if reply is not None]
-
-
-def quiet_bus() -> Bus:
-    bus = Bus(settings=AdapterSettings(addr=22, auto=0, eos=2))
-    for meter in bus.meters.values():
-        meter.status.clear()
-    return bus
-
-
-def errors(bus: Bus, channel: Channel = "x") -> str:
-    reply = bus.meters[channel].handle(b"SYST:ERR?")
-    assert reply is not None
-    return reply.decode()
-
-
-def test_settings_are_set_asked_and_bounded() -> None:
-    bus = quiet_bus()
-    assert tell(bus, "++read_tmo_ms 3000", "++read_tmo_ms", "++eos", "++mode") == [b"3000\r", b"2\r", b"1\r"]
-    wrong = ["++read_tmo_ms 3001", "++addr 31", "++eoi x", "++nothing"]
-    assert tell(bus, *wrong) == [UNRECOGNIZED] * 4
-    assert tell(bus, "++ver")[0].startswith(b"Prologix GPIB-ETHERNET")
-
-
-def test_a_read_gives_up_after_its_timeout_and_the_reply_comes_with_a_later_one() -> None:
-    bus = quiet_bus()
-    tell(bus, "++read_tmo_ms 3000", "VOLT:NPLC 100", "INIT", "FETC?")
-    clock = bus.world.clock
-    assert clock.now_s() == 0.0
-    assert tell(bus, "++spoll", "++read eoi") == [b"0\r"]
-    assert clock.now_s() == 3.0
-    (reply,) = tell(bus, "++read eoi")
-    assert float(reply) == pytest.approx(bus.world.signal_v("x"), abs=1e-8)
-    assert clock.now_s() == pytest.approx(4.0015)
-    assert errors(bus) == NO_ERROR
-
-
-def test_message_available_is_in_the_serial_poll() -> None:
-    bus = quiet_bus()
-    assert tell(bus, "++spoll", "*IDN?", "++spoll", "++read", "++spoll") == [
-        b"0\r",
-        b"16\r",
-        IDENTITY.encode(),
-        b"0\r",
-    ]
-    assert tell(bus, "*SRE 32;*ESE 32;NONSENSE", "++srq", "++spoll 22", "++spoll 23") == [
-        b"1\r",
-        b"96\r",
-        b"0\r",
-    ]
-
-
-def test_read_after_write_addresses_an_instrument_that_has_nothing_to_say() -> None:
-    bus = quiet_bus()
-    assert tell(bus, "++auto 1", "*IDN?", "*CLS") == [IDENTITY.encode()]
-    assert errors(bus) == '-420,"Query UNTERMINATED"'
-
-
-def test_a_command_before_the_reply_was_read_interrupts_it() -> None:
-    bus = quiet_bus()
-    assert tell(bus, "*IDN?", "FUNC?", "++read eoi") == [b'"VOLT"']
-    assert errors(bus) == '-410,"Query INTERRUPTED"'
-
-
-def test_device_clear_reaches_the_addressed_instrument_alone() -> None:
-    bus = quiet_bus()
-    tell(bus, "VOLT:NPLC 100", "READ?", "++addr 23", "*IDN?", "++addr 22", "++clr", "++spoll")
-    assert tell(bus, "*IDN?", "++read eoi") == [IDENTITY.encode()]
-    assert bus.world.clock.now_s() == 0.0
-    assert tell(bus, "++addr 23", "++read eoi") == [IDENTITY.encode()]
-
-
-def test_group_execute_trigger_starts_all_that_are_named_together() -> None:
-    bus = quiet_bus()
-    tell(bus, "++read_tmo_ms 3000")
-    for address in ADDRESSES.values():
-        tell(bus, f"++addr {address}", "TRIG:SOUR BUS", "INIT")
-    tell(bus, "++trg 22 23 24")
-    for channel, address in ADDRESSES.items():
-        (reply,) = tell(bus, f"++addr {address}", "FETC?", "++read eoi")
-        assert float(reply) == pytest.approx(bus.world.signal_v(channel), abs=1e-8)
-    assert bus.world.clock.now_s() == pytest.approx(0.4015)
-
-
-def test_remote_and_local() -> None:
-    bus = quiet_bus()
-    assert not bus.adapter.in_remote(22)
-    tell(bus, "*CLS", "++llo")
-    assert bus.adapter.in_remote(22)
-    tell(bus, "++loc")
-    assert not bus.adapter.in_remote(22)
-    assert not bus.adapter.in_remote(23)
-
-
-def test_without_terminator_and_eoi_a_message_goes_on_in_the_next_line() -> None:
-    bus = quiet_bus()
-    tell(bus, "++eos 3", "++eoi 0", "SAMP:COUN", " 5", "++eos 2", "")
-    assert tell(bus, "++spoll") == [b"0\r"]
-    tell(bus, "0")
-    assert tell(bus, "SAMP:COUN?", "++read eoi") == [b"+50"]
-
-
-def test_escaped_characters_are_data() -> None:
-    bus = quiet_bus()
-    tell(bus, b"SAMP:COUN \x1b+3\x1b", b"\x1b\x1b")
-    assert errors(bus).startswith("-101")
-    assert tell(bus, "SAMP:COUN?", "++read eoi") == [b"+3"]
-    assert tell(bus, b"\x1b+\x1b+addr 5", "++addr") == [b"22\r"]
-
-
-def test_the_end_of_a_message_is_marked_when_asked_for() -> None:
-    bus = quiet_bus()
-    assert tell(bus, "++eot_enable 1", "*IDN?", "++read eoi") == [IDENTITY.encode() + b"\n"]
-
-
-def test_settings_are_saved_while_savecfg_is_on() -> None:
-    bus = quiet_bus()
-    tell(bus, "++read_tmo_ms 500", "++savecfg 0", "++read_tmo_ms 900")
-    assert bus.adapter.writes_to_memory == 1
-    bus.adapter.power_cycle()
-    assert tell(bus, "++read_tmo_ms") == [b"500\r"]
-
-
-def test_an_address_is_one_instruments() -> None:
-    bus = quiet_bus()
-    with pytest.raises(ValueError, match="taken"):
-        bus.adapter.attach(22, bus._meter("x"))
-
-
-def test_the_library_s_own_adapter_support_works_on_it() -> None:
-    bus = Bus()
-    manager = pyvisa.ResourceManager("@py")
-    with served(bus) as bench:
-        port = bench.servers["adapter"].port
-        board = manager.open_resource(f"PRLGX-TCPIP::127.0.0.1::{port}::INTFC")
-        try:
-            meter = manager.open_resource("GPIB0::23::INSTR")
-            assert meter.query("*IDN?").strip() == IDENTITY  # type: ignore[attr-defined]
-            meter.close()
-        finally:
-            board.close()

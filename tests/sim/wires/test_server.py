@@ -16,6 +16,7 @@ from sim.wires.server import TcpServer
 from sim.wires.session import DROP, REFUSE, SILENCE, Framer, Overflow, WireFault
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
+from tests.support.patience import PATIENCE_S
 
 BLOCK = Block(
     np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
@@ -33,7 +34,7 @@ def a_world(stand: dict[str, Distribution] | None = None) -> World:
 class Client:
     """A raw socket that reads lines; `tolerance_s` is how long it waits for one that may not come."""
 
-    def __init__(self, port: int, tolerance_s: float = 5.0) -> None:
+    def __init__(self, port: int, tolerance_s: float = PATIENCE_S) -> None:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=tolerance_s)
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.file = self.socket.makefile("rb")
@@ -61,7 +62,7 @@ def a_bench(world: World | None = None) -> Iterator[SimulatedBench]:
 
 @contextmanager
 def one_meter(
-    fault: Callable[[bytes, bytes | None], WireFault | None] | None = None, tolerance_s: float = 5.0
+    fault: Callable[[bytes, bytes | None], WireFault | None] | None = None, tolerance_s: float = PATIENCE_S
 ) -> Iterator[tuple[TcpServer, Client]]:
     with SimulatedBench(a_world(), {"v": SimulatedMeter("x", noise=False)}) as bench:
         server = bench.servers["v"]
@@ -174,7 +175,7 @@ def test_control_c_ends_a_long_reading_on_a_clock_that_takes_its_time() -> None:
         Client(bench.servers["v"].port) as client,
     ):
         client.write(b"VOLT:NPLC 100;:READ?\n")
-        assert entered.wait(5.0)
+        assert entered.wait(PATIENCE_S)
         client.write(b"\x03")
         assert client.ask(b"*IDN?\n") == IDENTITY
 

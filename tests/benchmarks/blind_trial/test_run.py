@@ -1,0 +1,54 @@
+"""The blind trial as a program: enough cases, failures counted, cases sealed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from benchmarks.blind_trial.cases import make_case, seal
+from benchmarks.blind_trial.designs import make_run
+from benchmarks.blind_trial.mistakes import MISTAKES
+from benchmarks.blind_trial.run import FULL, SHORT, main
+from benchmarks.blind_trial.signals import signals
+from tests.support.blind_cases import SEED, said
+
+
+def test_the_whole_trial_has_cases_enough():
+    for rows in (FULL, SHORT):
+        assert len({row.key for row in rows}) == len(rows)
+        for row in rows:
+            make_case(SEED, row, 0)
+    assert sum(row.count for row in FULL if row.kind == "null") >= 2000
+    assert min(row.count for row in FULL) >= 100
+    assert {row.kind for row in FULL} >= {f"mistake:{name}" for name in MISTAKES}
+
+
+def agrees_or_fails(case) -> dict:
+    if case.readings.signal[0, 0] > signals(make_run(case.design))[0, 0]:
+        raise ArithmeticError("no convergence")
+    return said("agrees")
+
+
+def test_the_trial_counts_failures_and_seals_its_cases(tmp_path, capsys):
+    arguments = ["--short", "--only", "null", "--rows", "20", "--workers", "1", "--json", str(tmp_path / "s")]
+    ledger = tmp_path / "ledger.jsonl"
+    status = main([*arguments, "--ledger", str(ledger)], diagnose=agrees_or_fails)
+    out, err = capsys.readouterr()
+    assert status == 1
+    assert "no convergence" in err
+    score = json.loads((tmp_path / "s").read_text())
+    row = score["score"]["null paper 15 uV"]
+    assert row["agrees"]["successes"] == row["agrees"]["of"]
+    assert row["agrees"]["of"] + row["failed"]["of"] == 20
+    assert min(row["agrees"]["of"], row["failed"]["of"]) > 0
+    assert f"1.000 ({row['agrees']['of']}/{row['agrees']['of']}" in out
+    sealed = [json.loads(line) for line in ledger.read_text().splitlines()]
+    assert [line["id"] for line in sealed] == [case["id"] for case in score["cases"]]
+    case, answer = make_case(1, SHORT[0], 0)
+    assert seal(case, answer) == sealed[0]
+
+
+def test_a_kind_that_does_not_exist_is_refused(capsys):
+    with pytest.raises(SystemExit, match="no kind of case called sorcery"):
+        main(["--only", "sorcery"], diagnose=agrees_or_fails)

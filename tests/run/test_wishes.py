@@ -1,0 +1,135 @@
+"""What an operator wishes during a run: again, left out, a pause, the end."""
+
+import dataclasses
+
+import pytest
+
+from bench.run.control import OperatorWish, RunControl
+from bench.run.record import Event
+from bench.run.resume import resume_point
+from bench.run.runner import RunAborted
+from bench.run.states import RunState, Wish
+from sim.world.clock import VirtualClock
+from tests.support.runner_bench import PLAN, READS, Bench, Person, make_runner, new_record, recorded
+
+
+class Said:
+    """Wishes that are left at the n-th time the runner listens."""
+
+    def __init__(self, wishes):
+        self.wishes = dict(wishes)
+        self.count = -1
+
+    def poll(self):
+        self.count += 1
+        return self.wishes.pop(self.count, None)
+
+
+def listening(tmp_path, wishes, person=None, **options):
+    """Run with wishes; return the history, the keys read, and the bench."""
+    bench = Bench()
+    record = new_record(tmp_path)
+    runner = make_runner(bench, record, controls=Said(wishes), patience=VirtualClock(), **options)
+    if person is not None:
+        runner = dataclasses.replace(runner, person=person)
+    try:
+        runner.run()
+    finally:
+        record.close()
+        history, keys, _ = recorded(tmp_path / "run")
+    return history, keys, bench
+
+
+def poll_at(key, kind="step_done"):
+    """Which time the runner listens right after a step of the plan (naps listen, too)."""
+    said = Said({})
+    at = []
+    runner = make_runner(
+        Bench(), FakeRecord(lambda k, d: k == kind and d["key"] == key and at.append(said.count))
+    )
+    runner = dataclasses.replace(runner, controls=said)
+    runner.run()
+    return at[0] + 1
+
+
+class FakeRecord:
+    def __init__(self, see):
+        self.see = see
+        self.number = 0
+
+    def append(self, kind, bench_s, **data):
+        self.number += 1
+        self.see(kind, data)
+        return Event(self.number, "", bench_s, kind, data)
+
+
+def test_redo_takes_the_last_point_again_and_its_last_reading_counts(tmp_path):
+    history, keys, bench = listening(tmp_path, {poll_at("r12"): RunControl(Wish.REPEAT_POINT)})
+    assert keys == ["r11", "r12", "r12", "r13", "r21", "r22", "r23"]
+    attempts = [e.data["attempt"] for e in history.events if e.type == "step_done" and "reading" in e.data]
+    assert attempts == [1, 1, 2, 1, 1, 1, 1]
+    assert [w[1] for w in bench.done if w[0] == "move"][:4] == ["t11", "t12", "t12", "t13"]
+
+
+def test_redo_pass_goes_back_to_its_first_turn(tmp_path):
+    _, keys, _ = listening(tmp_path, {poll_at("r22"): RunControl(Wish.REPEAT_PASS)})
+    assert keys == ["r11", "r12", "r13", "r21", "r22", "r21", "r22", "r23"]
+
+
+def test_redo_with_nothing_measured_since_the_mounting_is_refused(tmp_path):
+    history, keys, _ = listening(tmp_path, {poll_at("m2"): RunControl(Wish.REPEAT_POINT)})
+    assert keys == READS
+    refused = [e for e in history.events if e.type == "wish_refused"]
+    assert refused[0].data["why"] == "no point was measured since the block was mounted"
+
+
+def test_skip_leaves_the_point_out_with_its_reason(tmp_path):
+    history, keys, bench = listening(tmp_path, {poll_at("r11"): RunControl(Wish.SKIP, "cable loose")})
+    assert keys == ["r11", "r13", "r21", "r22", "r23"]
+    assert ("move", "t12") not in bench.done
+    skipped = [e.data for e in history.events if e.type == "skipped"]
+    assert skipped[0]["reason"] == "cable loose"
+    assert history.state == "finished"
+
+
+def test_abort_ends_the_run_for_good_with_the_bench_closed(tmp_path):
+    with pytest.raises(RunAborted):
+        listening(tmp_path, {poll_at("r11"): RunControl(Wish.ABORT, "wrong block")})
+    history, keys, _ = recorded(tmp_path / "run")
+    assert keys == ["r11"]
+    assert history.state is RunState.ABORTED
+    assert resume_point(PLAN, history).step > 0
+
+
+def test_a_pause_lasts_until_somebody_wishes_something_else(tmp_path):
+    at = poll_at("r11")
+    history, keys, _ = listening(tmp_path, {at: RunControl(Wish.PAUSE), at + 5: RunControl(Wish.CONTINUE)})
+    assert keys == READS
+    changes = [e.type for e in history.events if e.type.startswith("run_")]
+    assert changes == ["run_started", "run_paused", "run_continued", "run_finished"]
+
+
+def test_redo_out_of_a_pause(tmp_path):
+    at = poll_at("r12")
+    wishes = {at: RunControl(Wish.PAUSE), at + 3: RunControl(Wish.REPEAT_POINT)}
+    history, keys, _ = listening(tmp_path, wishes)
+    assert keys == ["r11", "r12", "r12", "r13", "r21", "r22", "r23"]
+    assert history.state == "finished"
+
+
+def test_a_pause_typed_at_the_head_is_asked_how_to_go_on(tmp_path):
+    class Typist(Person):
+        def ask(self, prompt):
+            if prompt.id.startswith("m2") and "typed" not in self.__dict__:
+                self.typed = True
+                raise OperatorWish(RunControl(Wish.PAUSE, by_person=True))
+            return super().ask(prompt)
+
+    bench = Bench()
+    history, keys, _ = listening(tmp_path, {}, person=Typist(bench))
+    assert keys == READS
+    assert [e.type for e in history.events if e.type.startswith("run_")][1:3] == [
+        "run_paused",
+        "run_continued",
+    ]
+    assert [w[1].partition("@")[0] for w in bench.done if w[0] == "ask" and "pause" in w[1]] == ["pause"]

@@ -1,0 +1,18 @@
+"""Waiting for other processes and threads, as long as a slow machine may need."""
+
+import subprocess
+import time
+from collections.abc import Callable
+from typing import Any
+
+PATIENCE_S = 600.0
+"""Ends a test that hangs. What works needs a hundredth of it, so that no verdict depends on the machine's speed."""
+
+
+def wait_for(reached: Callable[[], bool], process: subprocess.Popen[Any]) -> None:
+    """Wait until something is so, as long as the process lives that is to bring it about."""
+    give_up = time.monotonic() + PATIENCE_S
+    while not reached():
+        assert process.poll() is None, f"the process ended with {process.returncode}"
+        assert time.monotonic() < give_up, "nothing happened"
+        time.sleep(0.01)
