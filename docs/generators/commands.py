@@ -7,15 +7,17 @@ from typing import Any, Final
 
 import typer
 
-from bench.cli.app import app
+import bench.cli.app  # noqa: F401 - it brings the commands
+from bench.cli.options import app
 from docs.generators.markdown import code, table
 
 _INTRODUCTION: Final = """\
 # Commands
 
-`bench COMMAND --help` says the same. Exit status of every command: 0 done and accepted, 1 done and not accepted, 2 could
-not be done, with one clear line on standard error; `bench --debug COMMAND …` shows the traceback of an error. A result as
-JSON (`--json FILE`, `-` for standard output) has the form that [results](results.md) describes.
+`bench COMMAND --help` says the same. Exit status of every command: 0 done and accepted, 1 done and not
+accepted, 2 could not be done, with one clear line on standard error; `bench --debug COMMAND …` shows the
+traceback of an error. A result as JSON (`--json FILE`, `-` for standard output) has the form that
+[results](results.md) describes.
 """
 
 

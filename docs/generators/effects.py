@@ -16,12 +16,12 @@ EFFECT_ENTRY_TITLE: Final = "Entry of effects"
 _INTRODUCTION: Final = """\
 # Effects
 
-What a block, a stand, a voltmeter or a site can do beside the paper's model. Each is written once: the simulated bench
-applies it (section `effects` of a [bench file](bench-files.md)), a calibration takes it into account (a
-[model file](model-files.md)), `bench diagnose` looks for it and names it. *Plausible* is the size, one standard deviation,
-that the diagnosis takes for usual before it has seen readings. A *shape* is no size but a form (a time constant, a
-period): readings are not linear in it, a diagnosis tries the values listed.
-[Writing an effect](../writing-an-effect.md) adds one.
+What a block, a stand, a voltmeter or a site can do beside the paper's model. Each is written once: the
+simulated bench applies it (section `effects` of a [bench file](bench-files.md)), a calibration takes it
+into account (a [model file](model-files.md)), `bench diagnose` looks for it and names it. *Plausible* is
+the size, one standard deviation, that the diagnosis takes for usual before it has seen readings. A *shape*
+is no size but a form (a time constant, a period): readings are not linear in it, a diagnosis tries the
+values listed. [Writing an effect](../writing-an-effect.md) adds one.
 
 They act one after another, stage by stage:
 """
@@ -29,9 +29,10 @@ They act one after another, stage by stage:
 _MODEL_FILES: Final = """\
 # Model files
 
-A model file lists effects with their values; `bench diagnose` writes one, `--model FILE` of `calibrate`, `budget`, `run
---dry-run`, `simulate` and the next diagnosis takes it. Bench files state effects in the same words. A parameter is
-written in any unit of its dimension, for all channels alike or for each; a shape has one value and no `u`:
+A model file lists effects with their values; `bench diagnose` writes one, `--model FILE` of `calibrate`,
+`budget`, `run --dry-run`, `simulate` and the next diagnosis takes it. Bench files state effects in the same
+words. A parameter is written in any unit of its dimension, for all channels alike or for each; a shape has
+one value and no `u`:
 
 ```yaml
 model_file: 1
@@ -45,8 +46,8 @@ effects:
     parameters: {A: 150 ug, tau: 20 min}
 ```
 
-`installations` says which mountings have the effect (`2/3` is installation 2 in series 3). The names and parameters are
-those of the [effects](effects.md).
+`installations` says which mountings have the effect (`2/3` is installation 2 in series 3). The names and
+parameters are those of the [effects](effects.md).
 """
 
 

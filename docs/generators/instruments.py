@@ -16,9 +16,9 @@ _ROLES: Final = {"voltmeters": "Voltmeters", "head": "Dividing heads", "chamber"
 _INTRODUCTION: Final = """\
 # Instruments
 
-What stands under `driver` in a [bench file](bench-files.md). Every one of them can be simulated: `bench run … --dry-run`
-and `bench simulate` serve it on a TCP port and speak with it through the same driver. An instrument that is not here is
-[a page of work](../writing-a-driver.md). How each is connected and set is in
+What stands under `driver` in a [bench file](bench-files.md). Every one of them can be simulated: `bench run
+… --dry-run` and `bench simulate` serve it on a TCP port and speak with it through the same driver. An
+instrument that is not here is [a page of work](../writing-a-driver.md). How each is connected and set is in
 [From wiring to result](../real-bench.md).
 """
 

@@ -29,4 +29,4 @@ def prose(documented: object) -> str:
 
 def first_line(text: str) -> str:
     """Return the first paragraph of a text in one line."""
-    return " ".join(text.split("\n\n")[0].split())
+    return " ".join(text.partition("\n\n")[0].split())

@@ -13,9 +13,10 @@ from docs.generators.forms import models_in, sections
 _INTRODUCTION: Final = """\
 # Procedure files
 
-A procedure file is YAML: beside its name a list of steps, each a mapping with exactly one verb. Verbs hold steps of
-their own. `bench check FILE` prints the plan that comes of it, with the time, what the operator does, every mistake with its line,
-and what the readings will leave open. [Writing a procedure](../writing-a-procedure.md) goes through one.
+A procedure file is YAML: beside its name a list of steps, each a mapping with exactly one verb. Verbs hold
+steps of their own. `bench check FILE` prints the plan that comes of it, with the time, what the operator
+does, every mistake with its line, and what the readings will leave open. [Writing a
+procedure](../writing-a-procedure.md) goes through one.
 """
 
 

@@ -11,9 +11,9 @@ from docs.generators.markdown import code, table
 COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "installation": (
         "–",
-        "`1` or `2` (the paper's Fig. 2), a label that the bench file defines; `V` a verification point, not in the fit "
-        "unless asked; `F` a free position, of which |a| = 1 g alone is known; `S` input shorted; `R` a reference "
-        "voltage at the input",
+        "`1` or `2` (the paper's Fig. 2), a label that the bench file defines; `V` a verification point, not in "
+        "the fit unless asked; `F` a free position, of which |a| = 1 g alone is known; `S` input shorted; "
+        "`R` a reference voltage at the input",
     ),
     "pass": ("–", "1, 2, …: which time through the points"),
     "point": ("–", "number of the test point; a setting that is visited in each pass has one number"),
@@ -36,8 +36,9 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
 _INTRODUCTION: Final = """\
 # Readings files
 
-A readings file is CSV (RFC 4180, UTF-8, dot as decimal sign): one row for each settled reading of the three channels, in
-the order of measurement. A run exports it (`bench export RUN --csv FILE`), a laboratory that measured by hand writes it.
+A readings file is CSV (RFC 4180, UTF-8, dot as decimal sign): one row for each settled reading of the three
+channels, in the order of measurement. A run exports it (`bench export RUN --csv FILE`), a laboratory that
+measured by hand writes it.
 
 ```text
 installation,pass,point,angle_deg,ux_v,uy_v,uz_v
@@ -46,9 +47,9 @@ installation,pass,point,angle_deg,ux_v,uy_v,uz_v
 V,1,1,44.999722222,-0.990108,0.909860,-1.927747
 ```
 
-Columns stand in any order, in small or large letters. Unknown columns are kept and ignored, with a note. Every row that
-cannot be read is listed with file, line, column and what was expected, and nothing is computed until it is mended or left
-out with `--skip-bad-rows`.
+Columns stand in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
+Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
+computed until it is mended or left out with `--skip-bad-rows`.
 """
 
 
@@ -79,8 +80,8 @@ def page() -> str:
 
 ## Signals
 
-The suffix is the unit, all three alike; results are then per that unit. A standard deviation of the samples of a reading
-may stand beside each signal.
+The suffix is the unit, all three alike; results are then per that unit. A standard deviation of the samples
+of a reading may stand beside each signal.
 
 {table(("signals", "unit", "standard deviations"), signals)}
 

@@ -15,9 +15,10 @@ _FIRST: Final = ("calibrate", "verify", "diagnose", "budget")
 _INTRODUCTION: Final = """\
 # Results and the record
 
-What `--json FILE` writes, by command, and the lines of a run's record. Each stands as a JSON schema (draft 2020-12) under
-`docs/schemas`; the tests hold real results against them, and a member that no schema names is an error there. Angles are in
-degrees where the name says `_deg`, times in seconds, uncertainties are standard uncertainties unless the name is `U`.
+What `--json FILE` writes, by command, and the lines of a run's record. Each stands as a JSON schema (draft
+2020-12) under `docs/schemas`; the tests hold real results against them, and a member that no schema names
+is an error there. Angles are in degrees where the name says `_deg`, times in seconds, uncertainties are
+standard uncertainties unless the name is `U`.
 """
 
 
@@ -50,7 +51,7 @@ def _rows(schema: Mapping[str, Any], defs: Mapping[str, Any], path: str) -> Iter
         yield from _inside(member, defs, here)
     more = schema.get("additionalProperties")
     if path and isinstance(more, dict):
-        yield from _inside(more, defs, f"{path}.…")
+        yield from _inside(more, defs, f"{path}.{{name}}")
 
 
 def _inside(member: Mapping[str, Any], defs: Mapping[str, Any], here: str) -> Iterator[tuple[str, str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import re
 import shutil
 import subprocess
@@ -23,10 +24,27 @@ from bench.readings.csv import write_csv
 from tests.support.honest_runs import MODEL
 from tests.support.pages import DOCS, ROOT, Block, blocks, commands, pages, told_apart
 from tests.support.paper_bench import STAND_U, simulate
+from tests.support.schemas import keeps_to
 
 KINDS = {"console", "python", "text", "yaml", "{toctree}", "{include}"}
-OF_THEIR_OWN = {"writing-a-driver.md", "writing-an-effect.md", "writing-an-estimator.md", "writing-a-command.md"}
+OF_THEIR_OWN = {
+    "writing-a-driver.md",
+    "writing-an-effect.md",
+    "writing-an-estimator.md",
+    "writing-a-command.md",
+}
 """Pages whose blocks need names of the tests: they have a test of their own."""
+RESULTS = {
+    "tutorial.md": {
+        "coefficients.json": "calibrate",
+        "runs/first/calibrate.json": "calibrate",
+        "runs/first/verify.json": "verify",
+        "diagnosis.json": "diagnose",
+    },
+    "analyses.md": {"tests/data/stability/ln100-up.json": "stability"},
+}
+"""What pages leave behind, and the schema of each."""
+SLOW = {"tutorial.md", "analyses.md"}
 SHELL = {"ls", "cp", "rm", "sed"}
 
 
@@ -91,9 +109,18 @@ def wide(monkeypatch, caches):
     monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
 
 
-@pytest.mark.parametrize("page", [p for p in pages() if p.name not in OF_THEIR_OWN], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(p, id=p.name, marks=[pytest.mark.slow] if p.name in SLOW else [])
+        for p in pages()
+        if p.name not in OF_THEIR_OWN
+    ],
+)
 def test_what_a_page_shows_is_what_happens(page, bench, wide):
     carried_out(page, bench)
+    for written, schema in RESULTS.get(page.name, {}).items():
+        keeps_to(schema, json.loads(Path(written).read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("page", pages(), ids=lambda p: p.name)
@@ -130,7 +157,10 @@ def test_commands_in_the_text_exist_with_their_options():
 def known_options():
     found = {}
     for name, command in typer.main.get_command(app).commands.items():
-        found[name] = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help", "--debug"}
+        found[name] = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {
+            "--help",
+            "--debug",
+        }
     return found
 
 

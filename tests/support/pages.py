@@ -1,8 +1,8 @@
-"""Pages of the documentation as what they show: blocks of code, commands with their output, marks on what is not run.
+"""Pages of the documentation as what they show: blocks of code, commands with their output.
 
-A comment on the line before a block marks it: `<!-- file: NAME -->` is a file that later commands read, `data: PATH`
-one of the repository that they read, `status: N` how the last command ends. Not carried out are blocks with
-`shell: WHY`, and with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose commands and options must exist.
+A comment on the line before a block marks it: `<!-- file: NAME -->` is a file that later commands read,
+`data: PATH` one of the repository that they read, `status: N` how the last command ends. Not carried out are blocks
+with `shell: WHY`, and with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose commands and options must exist.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 ELLIPSIS = "…"
 
-_BLOCK = re.compile(r"(?:^<!-- (?P<mark>[^>]*) -->\n)?^```(?P<kind>\S*)[^\n]*\n(?P<text>.*?)^```$", re.M | re.S)
+_BLOCK = re.compile(
+    r"(?:^<!-- (?P<mark>[^>]*) -->\n)?^```(?P<kind>\S*)[^\n]*\n(?P<text>.*?)^```$", re.M | re.S
+)
 
 
 @dataclass(frozen=True)
