@@ -67,6 +67,11 @@ RuleOption = Annotated[
         "--rule", metavar="RULE", help="simple: |Δg| within the limit (default); guarded: |Δg| + U within it."
     ),
 ]
+LimitOption = Annotated[float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")]
+ProcedureOption = Annotated[
+    str, typer.Option("--procedure", metavar="FILE", help="Procedure, by path or shipped name.")
+]
+EstimatorOption = Annotated[str, typer.Option(help=ESTIMATORS_IN_A_BUDGET)]
 Sources = Annotated[
     list[str], typer.Argument(metavar="SOURCE…", help="Runs (name or path) or readings files.")
 ]

@@ -62,7 +62,8 @@ def _gap(row: Row, outcomes: Sequence[Outcome]) -> Stored | None:
 
 def part(result: Stored) -> str:
     """Return the part of the page: what made it, sums over rows, the tables."""
-    made = f"Measured with `{result['command']}` ({result['cases']:,} cases, {result['seconds']:,} s{result['on']})."
+    size = f"{result['cases']:,} cases, {result['seconds']:,} s{result['on']}"
+    made = f"Measured with `{result['command']}` ({size})."
     return "\n\n".join((made, *_sums(result), tables(result)))
 
 

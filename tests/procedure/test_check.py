@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.assumptions import require_rank
+from bench.api import outlook as command
 from bench.assembly.served import dry_bench
-from bench.cli import check as command
 from bench.cli.app import main
 from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import load_bench

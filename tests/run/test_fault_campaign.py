@@ -45,6 +45,7 @@ def tried(stand: Stand, runs: Path, name: str, *faults: Fault) -> Outcome:
     return outcome
 
 
+@pytest.mark.slow
 def test_a_short_campaign_has_no_violation(benches: dict[str, Stand], runs: Path) -> None:
     trials = fault_campaign.draw(FAULTS, SEED, list(benches.values()))
     outcomes = [fault_trials.carry_out(trial, runs, NEVER_S) for trial in trials]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from importlib import metadata
 
-from bench.cli.source import Source
+from bench.api.source import Source
 
 PACKAGES = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
 
@@ -23,7 +23,7 @@ def versions() -> dict[str, str]:
 
 def provenance(source: Source) -> dict[str, str]:
     """Return what the report says of where its numbers come from, in the order in which it says it."""
-    told = {
+    stated = {
         "source": source.name,
         "unit under test": source.block_name or "not stated",
         "bench": f"{source.bench.name} (SHA-256 {source.bench_sha256})",
@@ -31,20 +31,20 @@ def provenance(source: Source) -> dict[str, str]:
     }
     if source.run is not None:
         manifest = source.run.manifest
-        told["run"] = source.run.name
-        told["begun"] = str(manifest.get("created", ""))
-        told["operator"] = str(manifest.get("operator") or "not stated")
+        stated["run"] = source.run.name
+        stated["begun"] = str(manifest.get("created", ""))
+        stated["operator"] = str(manifest.get("operator") or "not stated")
         if "imported" in manifest:
-            told["imported from"] = str(manifest["imported"])
+            stated["imported from"] = str(manifest["imported"])
         else:
-            told["procedure"] = f"{manifest.get('procedure')} (plan SHA-256 {manifest.get('plan_hash')})"
-            told["instruments"] = "simulated" if source.run.simulated else "real"
-        told.update(_identities(source))
-        told["record"] = f"{len(source.run.history.events)} events, chain of hashes whole"
+            stated["procedure"] = f"{manifest.get('procedure')} (plan SHA-256 {manifest.get('plan_hash')})"
+            stated["instruments"] = "simulated" if source.run.simulated else "real"
+        stated.update(_identities(source))
+        stated["record"] = f"{len(source.run.history.events)} events, chain of hashes whole"
         recorded = manifest.get("versions", {})
-        told["measured with"] = ", ".join(f"{name} {version}" for name, version in recorded.items())
-    told["evaluated with"] = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return told
+        stated["measured with"] = ", ".join(f"{name} {version}" for name, version in recorded.items())
+    stated["evaluated with"] = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return stated
 
 
 def _identities(source: Source) -> dict[str, str]:

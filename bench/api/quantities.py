@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from bench.api.errors import Refused
 from bench.base.units import QuantityKind, parse_quantity
-from bench.cli import CommandError
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:
     """Return the SI value of an option; a `plain` number is in the SI unit already.
 
-    Raises `CommandError` with the option for anything else.
+    Raises `Refused` with the option for anything else.
     """
     if plain:
         try:
@@ -19,12 +19,12 @@ def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) 
     try:
         return parse_quantity(text, kind)
     except ValueError as error:
-        raise CommandError(f"{option} {text}: {error}") from None
+        raise Refused(f"{option} {text}: {error}") from None
 
 
 def named(option: str, text: str, example: str) -> tuple[str, str]:
-    """Return name and value of an option "NAME=VALUE". Raises `CommandError` with an example for another."""
+    """Return name and value of an option "NAME=VALUE". Raises `Refused` with an example for another."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip() or not value.strip():
-        raise CommandError(f"{option} {text}: a name and its value, such as {example}")
+        raise Refused(f"{option} {text}: a name and its value, such as {example}")
     return name.strip(), value.strip()

@@ -1,49 +1,64 @@
-"""What an analysis is made from: a run or a readings file, with the bench and the model that belong to it."""
+"""What an analysis is made from: a run, a readings file or a table, with the bench and the model of it."""
 
 from __future__ import annotations
 
-import json
 import os
-import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from bench.cli import CommandError
+from bench.api.errors import Refused
 from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
 from bench.files.model import ModelFile, load_model
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
-from bench.readings.csv import format_csv, read_csv
+from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
 from bench.run.folder import BENCH, IMPORTED, Run, find_run
 from bench.run.record import MANIFEST, sha256
 
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    import pandas as pd
+
+    Given: TypeAlias = str | Readings | pd.DataFrame
+    """Readings to be evaluated: name or path of a run, path of a readings file, or a table in memory."""
+
 DEFAULT_BENCH = "paper-stand"
+NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)"
 LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 
 
 @dataclass(frozen=True)
 class Request:
-    """Options that all analyses share."""
+    """What all analyses share: readings (runs by name live in `runs`), and what goes in place of what is usual.
 
-    sources: list[str]
+    `bench` is a bench file by path or name, or one at hand; `out` a folder for what is derived from the readings.
+    """
+
+    sources: Sequence[Given]
     runs: Path
-    bench: str | None
-    model: Path | None
-    g_m_s2: float | None
-    out: Path | None
-    skip_bad_rows: bool
+    bench: str | BenchFile | None = None
+    model: Path | None = None
+    g_m_s2: float | None = None
+    out: Path | None = None
+    skip_bad_rows: bool = False
 
 
 @dataclass(frozen=True)
 class Source:
-    """One run or readings file, read, with its bench. `run` is None for a readings file."""
+    """One run, readings file or table, read, with its bench. `run` is None for all but a run.
+
+    `bench_taken` says which bench file it is, and why that one.
+    """
 
     name: str
     readings: Readings
     bench: BenchFile
     bench_sha256: str
+    bench_taken: str
     model: ForwardModel
     g_m_s2: float
     run: Run | None
@@ -84,17 +99,18 @@ def load_sources(request: Request) -> list[Source]:
     """Read all sources. Raises the first mistake found, as the readers do."""
     check_gravity(request.g_m_s2)
     check_places(request)
-    return [_load(name, request) for name in request.sources]
+    return [_load(given, request) for given in request.sources]
 
 
 def check_places(request: Request) -> None:
-    """Refuse sources of which one would write over what another wrote. Raises `CommandError`."""
+    """Refuse sources of which one would write over what another wrote. Raises `Refused`."""
     if request.out is not None and request.out.exists() and not request.out.is_dir():
-        raise CommandError(f"--out {request.out}: a file of that name is there; give a folder")
-    places = [_output(name, _run_of(name, request.runs), request.out, "", "") for name in request.sources]
+        raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
+    names = [given for given in request.sources if isinstance(given, str)]
+    places = [_output(name, _run_of(name, request.runs), request.out, "", "") for name in names]
     for place in places:
         if places.count(place) > 1:
-            raise CommandError(f"--out: two sources would write {place}*; give each a folder of its own")
+            raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
 
 
 def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:
@@ -113,32 +129,72 @@ def bench_path(given: str | None) -> Path:
     return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
 
 
-def _load(name: str, request: Request) -> Source:
-    run = _run_of(name, request.runs)
-    notes: tuple[str, ...] = ()
+def _load(given: Given, request: Request) -> Source:
+    run = _run_of(given, request.runs) if isinstance(given, str) else None
     if run is not None:
         run.trusted_history()
-    recorded = run is not None and request.bench is None
-    path = run.folder / BENCH if run is not None and recorded else bench_path(request.bench)
+    taken = _bench_of(run, request.bench)
+    bench = taken.file
+    notes: tuple[str, ...] = ()
     if run is not None and request.bench is not None:
-        notes = (f"evaluated with {path} in place of the bench file that the run recorded",)
-    bench = load_recorded_bench(path) if recorded else load_bench(path)
-    installations = bench.installation_models()
-    if run is None:
-        readings = read_csv(Path(name), installations, skip_bad_rows=request.skip_bad_rows)
-    elif "imported" in run.manifest:
-        readings = read_csv(run.folder / IMPORTED, installations, skip_bad_rows=request.skip_bad_rows)
-    else:
-        readings = run.readings()
+        notes = (f"evaluated with {taken.where} in place of the bench file that the run recorded",)
+    readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
     gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
     if gravity is None:
-        raise CommandError(f"{path}: gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)")
-    model = ForwardModel(installations)
+        raise Refused(f"{taken.where}: {NO_GRAVITY}")
+    model = ForwardModel(bench.installation_models())
     if request.model is not None:
-        model, told = _of_model_file(load_model(request.model, installations), readings, model)
-        notes += told
+        file = load_model(request.model, model.installations)
+        model, of_model = _of_model_file(file, readings, model)
+        notes += of_model
     readings = replace(readings, notes=(*notes, *readings.notes))
-    return Source(name, readings, bench, sha256(path.read_bytes()), model, gravity, run, request)
+    name = given if isinstance(given, str) else readings.source
+    return Source(name, readings, bench, sha256(taken.content), taken.words, model, gravity, run, request)
+
+
+@dataclass(frozen=True)
+class BenchTaken:
+    """A bench file, where it is, what stands in it, and in words which one it is and why that one."""
+
+    file: BenchFile
+    where: str
+    content: bytes
+    words: str
+
+
+def find_bench_file(given: str | BenchFile | None) -> BenchTaken:
+    """Return the bench file at hand or asked for, else that of BENCH_FILE, else the shipped one."""
+    if isinstance(given, BenchFile):
+        return BenchTaken(given, given.name, given.model_dump_json().encode(), f"{given.name}, as given")
+    path = bench_path(given)
+    bench = load_bench(path)
+    if given:
+        why = "as asked for"
+    else:
+        why = "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else "the shipped one, as none was named"
+    return BenchTaken(bench, str(path), path.read_bytes(), f"{bench.name}, {why}")
+
+
+def _bench_of(run: Run | None, given: str | BenchFile | None) -> BenchTaken:
+    """Return the bench file that a run recorded, where no other is asked for."""
+    if run is None or given is not None:
+        return find_bench_file(given)
+    path = run.folder / BENCH
+    bench = load_recorded_bench(path)
+    return BenchTaken(bench, str(path), path.read_bytes(), f"{bench.name}, as the run recorded it")
+
+
+def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_rows: bool) -> Readings:
+    if isinstance(given, Readings):
+        return given
+    installations = bench.installation_models()
+    if not isinstance(given, str):
+        return read_frame(given, installations, skip_bad_rows=skip_bad_rows)
+    if run is None:
+        return read_csv(Path(given), installations, skip_bad_rows=skip_bad_rows)
+    if run.imported:
+        return read_csv(run.folder / IMPORTED, installations, skip_bad_rows=skip_bad_rows)
+    return run.readings()
 
 
 def _of_model_file(
@@ -161,57 +217,11 @@ def _run_of(name: str, runs: Path) -> Run | None:
     if path.is_file() and path.name != MANIFEST:
         return None
     if path.suffix.lower() in {".csv", ".txt"} and not (runs / name).is_dir():
-        raise CommandError(f"{name}: no such readings file; check the name")
+        raise Refused(f"{name}: no such readings file; check the name")
     return find_run(name, runs)
 
 
 def check_gravity(g_m_s2: float | None) -> None:
-    """Refuse a value of local gravity that is none on Earth. Raises `CommandError`."""
+    """Refuse a value of local gravity that is none on Earth. Raises `Refused`."""
     if g_m_s2 is not None and not LEAST_GRAVITY <= g_m_s2 <= MOST_GRAVITY:
-        raise CommandError(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")
-
-
-def check_target(target: str | None) -> None:
-    """Refuse a `--json` file that cannot be written before anything is computed. Raises `CommandError`."""
-    if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
-        raise CommandError(f"--json {target}: there is no such folder")
-
-
-def to_text(result: Any) -> str:
-    """Return a result as JSON text."""
-    return json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write_json(results: list[dict[str, Any]], target: str | None) -> None:
-    """Write one result, or a list of several in the order of the sources, to a file or standard output."""
-    if target is None:
-        return
-    text = to_text(results[0] if len(results) == 1 else results)
-    if target == "-":
-        sys.stdout.write(text)
-    else:
-        write_whole(Path(target), text)
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all. Raises `OSError` that names it."""
-    half = path.with_name(path.name + ".part")
-    try:
-        half.write_text(text, encoding="utf-8", newline="")
-        half.replace(path)
-    except OSError as error:
-        half.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error
-
-
-def write_beside(path: Path, text: str, *, asked: bool) -> bool:
-    """Write a derived file; say so and go on where the place is not writable, unless it was asked for."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, text)
-    except OSError as error:
-        if asked:
-            raise
-        print(f"note: {os.fspath(path)} is not written ({error.strerror}); use --out DIR", file=sys.stderr)
-        return False
-    return True
+        raise Refused(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")

@@ -14,22 +14,17 @@ from bench.analysis.budget.coefficients import Budget
 from bench.analysis.budget.exact import ExactResult
 from bench.analysis.budget.propagation import coverage_factor
 from bench.base.arrays import Floats
-from bench.cli import printing
+from bench.base.tables import table
 from bench.model.block import COEFFICIENTS
 
 
-def assessment(head: Mapping[str, Any], found: Assessment, out: Console | None = None) -> None:
+def print_budget(head: Mapping[str, Any], found: Assessment, out: Console) -> None:
     """Print the budget: coefficients by source, measured accelerations, the check, Monte Carlo, notes."""
-    out = out or printing.console()
-    readings = head["readings"]
-    out.print(
-        f"Budget of {head['procedure']} on {head['bench']}: {found.budget.estimator}, model {head['model']}, "
-        f"{readings['fitted']} readings, about {head['about']}"
-    )
+    out.print(headline(head, found))
     out.print("standard uncertainties by source: K in µV/g, U0 in µV; * a plausible size, not a stated one")
     out.print(coefficient_table(found.budget))
     out.print(_sources_in_words(found.budget))
-    out.print(_acceleration_table(found))
+    out.print(acceleration_table(found))
     if found.points:
         _print_points(out, found)
     if found.exact is not None:
@@ -38,58 +33,65 @@ def assessment(head: Mapping[str, Any], found: Assessment, out: Console | None =
         out.print(f"note: {note}")
 
 
+def headline(head: Mapping[str, Any], found: Assessment) -> str:
+    """Return a sentence on what the budget is of."""
+    return (
+        f"Budget of {head['procedure']} on {head['bench']}: {found.budget.estimator}, model {head['model']}, "
+        f"{head['readings']['fitted']} readings, about {head['about']}"
+    )
+
+
 def coefficient_table(budget: Budget) -> Table:
     """Return source by coefficient, then combined u, effective degrees of freedom, U; "stand" is a part."""
-    table = _table("source", *COEFFICIENTS)
+    rows = _table("source", *COEFFICIENTS)
     for contribution in budget.contributions:
         source = contribution.source
-        table.add_row(f"{source.name}{'*' if source.prior else ''}", *_micro(contribution.u))
+        rows.add_row(f"{source.name}{'*' if source.prior else ''}", *_micro(contribution.u))
     total, stand = budget.combined, budget.of_group("stand")
-    table.add_row("stand, as calibrate states", *_micro(stand.u), style="bold")
-    table.add_row("combined u, per local g", *_micro(budget.per_local_g.u), style="bold")
-    table.add_row("combined u", *_micro(total.u), style="bold")
+    rows.add_row("stand, as calibrate states", *_micro(stand.u), style="bold")
+    rows.add_row("combined u, per local g", *_micro(budget.per_local_g.u), style="bold")
+    rows.add_row("combined u", *_micro(total.u), style="bold")
     if np.any(np.isfinite(total.dof)):
-        table.add_row("effective dof", *(f"{nu:.0f}" if np.isfinite(nu) else "∞" for nu in total.dof))
+        rows.add_row("effective dof", *(f"{nu:.0f}" if np.isfinite(nu) else "∞" for nu in total.dof))
     factor = coverage_factor(total.dof, budget.probability)
     same = np.ptp(factor) < 0.005
-    told = f"k = {factor[0]:.2f}" if same else "k by dof"
-    table.add_row(f"U ({told}, {100 * budget.probability:.4g} %)", *_micro(factor * total.u), style="bold")
-    return table
+    factors = f"k = {factor[0]:.2f}" if same else "k by dof"
+    rows.add_row(f"U ({factors}, {100 * budget.probability:.4g} %)", *_micro(factor * total.u), style="bold")
+    return rows
 
 
 def _sources_in_words(budget: Budget) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ("source", "", "u", "common to", "dof", "where its size comes from"):
-        table.add_column(heading, justify="right" if heading in {"u", "dof"} else "left")
+    rows = table("source", "", ">u", "common to", ">dof", "where its size comes from")
     for contribution in budget.contributions:
         source = contribution.source
         dof = f"{source.dof:g}" if np.isfinite(source.dof) else "∞"
-        table.add_row(source.name, source.symbol, source.shown, source.common, dof, source.origin)
-    return table
+        rows.add_row(source.name, source.symbol, source.shown, source.common, dof, source.origin)
+    return rows
 
 
-def _acceleration_table(found: Assessment) -> Table:
+def acceleration_table(found: Assessment) -> Table:
+    """Return u of a measured acceleration by its size, g."""
     how = "the same voltmeters" if found.question.same_voltmeters else "voltmeters alike"
-    table = _table(
+    rows = _table(
         "measured |a|", "u(|a|) mean", "largest", "U(|a|) largest", "u(vector) mean", "largest", "most of it"
     )
-    table.title = f"one reading with {how}, over all directions, µg"
-    table.title_justify = "left"
+    rows.title = f"one reading with {how}, over all directions, µg"
+    rows.title_justify = "left"
     for a in found.accelerations:
         name, share = max(a.share.items(), key=lambda item: item[1])
         sizes = (a.u_modulus_mean, a.u_modulus_max, a.U_modulus_max, a.u_vector_mean, a.u_vector_max)
-        table.add_row(
+        rows.add_row(
             f"{a.magnitude_g:g} g", *(f"{1e6 * s:.1f}" for s in sizes), f"{name} {100 * share:.0f} %"
         )
-    return table
+    return rows
 
 
 def _print_points(out: Console, found: Assessment) -> None:
     question = found.question
-    table = _table("verification point", "u(Δg)", "U(Δg)", "accepted up to", "passes", "most of it")
+    rows = _table("verification point", "u(Δg)", "U(Δg)", "accepted up to", "passes", "most of it")
     for point in found.points:
         name = max(point.by_source, key=lambda source: point.by_source[source])
-        table.add_row(
+        rows.add_row(
             f"{point.point} at {point.angle_deg:g}°",
             f"{point.u * 1e6:.1f} µg",
             f"{point.U * 1e6:.1f} µg",
@@ -97,7 +99,7 @@ def _print_points(out: Console, found: Assessment) -> None:
             f"{100 * point.passes:.4g} %",
             name,
         )
-    out.print(table)
+    out.print(rows)
     verdict = "can be passed" if found.capable else "CANNOT BE PASSED"
     out.print(
         f"check of |Δg| ≤ {question.limit_g * 1e6:g} µg, rule: {question.rule}: {verdict} "
@@ -118,11 +120,7 @@ def _print_exact(out: Console, exact: ExactResult) -> None:
 
 
 def _table(first: str, *others: str) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column(first, no_wrap=True)
-    for heading in others:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
+    return table(first, *(f">{heading}" for heading in others), no_wrap=True)
 
 
 def _micro(values: Floats) -> list[str]:

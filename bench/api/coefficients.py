@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from bench.api.errors import Refused
 from bench.base.arrays import Floats
-from bench.cli import CommandError
 from bench.model.block import COEFFICIENTS, Block
 
 
@@ -32,25 +32,25 @@ class Coefficients:
 def read_coefficients(path: Path, unit: str) -> Coefficients:
     """Read a result of `calibrate --json`.
 
-    Raises `CommandError` when the file is not one, holds what is no number, or has another unit than the
+    Raises `Refused` when the file is not one, holds what is no number, or has another unit than the
     readings.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise CommandError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:
-        raise CommandError(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
     taken = coefficients_of(data, str(path))
     if taken.unit != unit:
-        raise CommandError(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}")
+        raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}")
     return taken
 
 
 def coefficients_of(data: Any, where: str) -> Coefficients:
     """Take the coefficients out of a result of `calibrate --json`, whatever their unit.
 
-    Raises `CommandError` that names `where` when it is not one, or holds what is no number.
+    Raises `Refused` that names `where` when it is not one, or holds what is no number.
     """
     try:
         values = np.array([data["coefficients"][name]["value"] for name in COEFFICIENTS], dtype=np.float64)
@@ -60,14 +60,14 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         noise, g_m_s2 = float(data["noise"]["reading_v"]), float(data["g_m_s2"])
         theirs = str(data["unit"])
     except KeyError as error:
-        raise CommandError(
+        raise Refused(
             f"{where}: not a result of 'bench calibrate --json': it has no {error}; give a file that "
             "calibrate wrote"
         ) from error
     except (ValueError, TypeError, IndexError) as error:
-        raise CommandError(f"{where}: not a result of 'bench calibrate --json' ({error})") from error
+        raise Refused(f"{where}: not a result of 'bench calibrate --json' ({error})") from error
     numbers = [*values, *covariance.ravel(), noise, g_m_s2]
     if not np.all(np.isfinite(numbers)) or np.any(np.diag(covariance) < 0) or noise < 0 or g_m_s2 <= 0:
-        raise CommandError(f"{where}: holds what is no number, or a negative variance; calibrate again")
+        raise Refused(f"{where}: holds what is no number, or a negative variance; calibrate again")
     simulated = bool(data.get("simulated", False))
     return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
