@@ -8,8 +8,11 @@ from typing import Annotated, Any, Final
 import typer
 from typer.core import TyperCommand, TyperOption
 
+from bench.cli.commands import Commands
+
 app = typer.Typer(
     name="bench",
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
