@@ -26,7 +26,8 @@ COMMANDS: Final = {
     "report": "Write the report of a run: one HTML page.",
     "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
     " or command a bench that is served.",
-    "instruments": "Open every instrument of a bench at once: identity, self-test, a reading, and all that is wrong.",
+    "instruments": "Open every instrument of a bench at once:"
+    " identity, self-test, a reading, and all that is wrong.",
     "init": "Write copies of the shipped procedures and bench files, to edit.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
     "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",
