@@ -20,8 +20,9 @@ coverage: $(STAMP)
 	$(PYTEST) --cov --cov-report=term:skip-covered
 
 # A few minutes; `make mutation MUTANTS=2000` takes hours.
-MUTANTS ?= 60
+MUTANTS ?= 30
 mutation: $(STAMP)
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[mutation]'
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.mutation --mutants $(MUTANTS)
 
 lint: $(STAMP)
@@ -53,4 +54,5 @@ blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)
 
 clean:
-	rm -rf $(VENV) docs/_build docs/reference .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage .coverage.*
+	rm -rf $(VENV) docs/_build docs/reference .mypy_cache .ruff_cache .pytest_cache .hypothesis \
+		.import_linter_cache .coverage .coverage.* mutants

@@ -12,11 +12,12 @@ from bench.cli.app import main
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
 from bench.run.folder import Run
-from sim.bench import SimulatedBench, SimulatedMeter
+from sim.bench import SimulatedBench
 from sim.wires.session import WireFault
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.procedure_texts import TWO_INSTALLATIONS
+from tests.support.simulated_stand import a_34401a
 
 SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
 PROCEDURE = """\
@@ -42,7 +43,7 @@ def served(tmp_path, monkeypatch):
     bench = load_bench(SHIPPED)
     model = ForwardModel(bench.installation_models())
     world = World(WorldSettings(bench.simulated_block(), model, {}, seed=1), VirtualClock())
-    meters = {f"voltmeter.{c}": SimulatedMeter(c, interface="gpib") for c in "xyz"}
+    meters = {f"voltmeter.{c}": a_34401a(c, interface="gpib") for c in "xyz"}
     with SimulatedBench(world, meters) as simulated:
         write_bench_file(list(simulated.resources.values()))
         yield simulated
