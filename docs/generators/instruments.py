@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal, get_args, get_origin
+from typing import Any, Final, Literal, cast, get_args, get_origin
 
 from pydantic import BaseModel
 
-from bench.devices.voltmeters import VOLTMETERS
-from bench.files.bench.file import BenchFile
-from docs.generators.forms import anchor, models_in, reachable
+from bench.devices.device import Role
+from bench.devices.registry import devices
+from bench.devices.voltmeters import VoltmeterForm, VoltmeterKind
+from docs.generators.forms import anchor
 from docs.generators.markdown import code, first_line, prose, table
 
-_ROLES: Final = {"voltmeters": "Voltmeters", "head": "Dividing heads", "chamber": "Thermal chambers"}
+_ROLES: Final[dict[Role, str]] = {
+    "voltmeter": "Voltmeters", "head": "Dividing heads", "chamber": "Thermal chambers",
+}  # fmt: skip
 
 _INTRODUCTION: Final = """\
 # Instruments
@@ -31,11 +34,9 @@ def driver_name(model: type[BaseModel]) -> str:
     return str(get_args(field.annotation)[0])
 
 
-def sections_of(role: str) -> list[type[BaseModel]]:
-    """Return the sections of a role (a key of the section `instruments`), in the order of the program."""
-    instruments: Any = BenchFile.model_fields["instruments"].annotation
-    held = models_in(instruments.model_fields[role].annotation)
-    return [model for section in held for model in reachable(section)[:1] if driver_name(model)]
+def sections_of(role: Role) -> list[type[BaseModel]]:
+    """Return the sections of a role in the order in which instruments are listed."""
+    return [device.section for device in devices().of(role)]
 
 
 def drivers() -> list[str]:
@@ -75,22 +76,23 @@ def _of_resource(metadata: list[Any]) -> str:
         cells = getattr(getattr(entry, "func", None), "__closure__", None) or ()
         for cell in cells:
             if isinstance(cell.cell_contents, tuple):
-                told = {"TCPIP": "lan", "ASRL": "rs232"}
-                return ", ".join(told.get(word, word) for word in cell.cell_contents)
+                words = {"TCPIP": "lan", "ASRL": "rs232"}
+                return ", ".join(words.get(str(word), str(word)) for word in cell.cell_contents)
     return "lan, gpib, rs232"
 
 
 def _limits() -> str:
     rows = []
-    for name, kind in VOLTMETERS.items():
-        limits = kind.limits
+    for section in sections_of("voltmeter"):
+        facts = cast(type[VoltmeterForm], section).facts
+        name, limits = driver_name(section), VoltmeterKind.of(facts).limits
         rows.append(
             (
                 code(name),
                 ", ".join(f"{v:g}" for v in limits.ranges_v),
                 ", ".join(f"{n:g}" for n in limits.nplc),
                 f"{limits.least_samples} to {limits.most_samples:,}",
-                ", ".join(map(str, kind.baud_rates)) or "–",
+                ", ".join(map(str, getattr(facts, "BAUD_RATES", ()))) or "–",
             )
         )
     head = ("driver", "ranges / V", "power-line cycles", "samples of a reading", "baud rates")
