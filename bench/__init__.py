@@ -1,1 +1,83 @@
-"""The bench application: procedures, runs, calibration, reports."""
+"""The calibration bench for triaxial accelerometer blocks, from Python.
+
+    import bench
+
+    result = bench.calibrate("readings.csv", bench="my-bench.yaml")
+    print(result.coefficients["Kxx"].value, result.coefficients["Kxx"].u)
+    result.report("report.html")
+
+Readings are a file, a run by name, or a pandas DataFrame with the columns of the file. What is public stands in
+`__all__`; it is imported when it is first used, so that `import bench` takes no time.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from bench.analysis.calibration import CalibrationError
+    from bench.api.budget import BudgetResult, budget
+    from bench.api.calibration import CalibrationResult, Coefficient, VerificationResult
+    from bench.api.diagnosis import DiagnosisResult
+    from bench.api.errors import Refused
+    from bench.api.face import DryRun, calibrate, diagnose, dry_run, load_bench, read_readings, verify
+    from bench.base.forms import FileMistakes
+    from bench.files.bench.file import BenchFile
+    from bench.readings.csv import ReadingsError
+    from bench.readings.table import Readings
+    from bench.run.record import RecordError
+
+__all__ = [
+    "BenchFile",
+    "BudgetResult",
+    "CalibrationError",
+    "CalibrationResult",
+    "Coefficient",
+    "DiagnosisResult",
+    "DryRun",
+    "FileMistakes",
+    "Readings",
+    "ReadingsError",
+    "RecordError",
+    "Refused",
+    "VerificationResult",
+    "budget",
+    "calibrate",
+    "diagnose",
+    "dry_run",
+    "load_bench",
+    "read_readings",
+    "verify",
+]
+
+_HOMES: Final = {
+    "bench.analysis.calibration": ("CalibrationError",),
+    "bench.api.budget": ("BudgetResult", "budget"),
+    "bench.api.calibration": ("CalibrationResult", "Coefficient", "VerificationResult"),
+    "bench.api.diagnosis": ("DiagnosisResult",),
+    "bench.api.errors": ("Refused",),
+    "bench.api.face": (
+        "DryRun", "calibrate", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
+    ),
+    "bench.base.forms": ("FileMistakes",),
+    "bench.files.bench.file": ("BenchFile",),
+    "bench.readings.csv": ("ReadingsError",),
+    "bench.readings.table": ("Readings",),
+    "bench.run.record": ("RecordError",),
+}  # fmt: skip
+"""Where the public names stand."""
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used."""
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(home), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

@@ -1,5 +1,7 @@
-"""What each command does, apart from how it is typed: each function returns the exit status."""
+"""The `bench` command: a module for each, which reads its options, calls and prints.
 
-
-class CommandError(Exception):
-    """A command that cannot be carried out as asked; the text says why and what to do."""
+A new command is a new module here and its line in `COMMANDS` of `bench.cli.commands`. Its function is decorated
+with `@app.command(epilog="Example: …")`, takes the options as its parameters (`bench.cli.options` has those that
+commands share), imports what computes where it uses it, so that `bench --help` stays quick, prints with
+`bench.cli.printing` and returns the exit status.
+"""

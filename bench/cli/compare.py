@@ -2,48 +2,86 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from bench.analysis.history.comparison import Changes, Comparison, Drift, Snapshot, compare
+from bench.api.errors import Refused
 from bench.base.numbers import fixed, places, probability
-from bench.cli import CommandError, printing
-from bench.cli.analyse import calibration_of
-from bench.cli.coefficients import coefficients_of
-from bench.cli.source import Request, check_target, load_sources, to_text, write_json, write_whole
-from bench.model.block import COEFFICIENTS
-from bench.run.record import MANIFEST
+from bench.cli import printing
+from bench.cli.options import (
+    RUNS,
+    BenchOption,
+    GravityOption,
+    JsonOption,
+    OutOption,
+    RunsOption,
+    SkipOption,
+    app,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from bench.analysis.history.comparison import Changes, Comparison, Drift, Snapshot
+    from bench.api.source import Request
 
 
-def compare_calibrations(request: Request, dates: Sequence[str], target: str | None, *, strict: bool) -> int:
-    """Carry out `bench compare`; 1 with `strict` when something changed beyond its uncertainty."""
-    check_target(target)
-    snapshots = [snapshot for name in request.sources for snapshot in _snapshots(name, request)]
-    if dates:
-        snapshots = _dated(snapshots, dates)
-    result = compare(snapshots)
-    out = printing.console(json=target)
-    _print(result, out)
-    if request.out is not None:
-        _write(request.out, result, out)
-    write_json([result.to_json()], target)
+@app.command(epilog="Example: bench compare 2025.json 2026.json unit-17 --strict")
+def compare(
+    sources: Annotated[
+        list[str],
+        typer.Argument(metavar="A B…", help="Results of calibrate --json, runs or readings files."),
+    ],
+    date: Annotated[
+        list[str] | None,
+        typer.Option(metavar="YYYY-MM-DD", help="Date of each, in their order, where they do not say it."),
+    ] = None,
+    bench: BenchOption = None,
+    g: GravityOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="A change beyond the uncertainty is not accepted.")
+    ] = False,
+    runs: RunsOption = RUNS,
+) -> int:
+    """What changed between calibrations of one block: E_n, a joint test, drift."""
+    from bench.analysis.history import comparison
+    from bench.api.source import Request
+
+    printing.check_target(json)
+    request = Request(sources, runs, bench, None, g, out, skip_bad_rows)
+    snapshots = [snapshot for name in sources for snapshot in _snapshots(name, request)]
+    if date:
+        snapshots = _dated(snapshots, date)
+    result = comparison.compare(snapshots)
+    on = printing.console(json=json)
+    _print(result, on)
+    if out is not None:
+        _write(out, result, on)
+    printing.write_json([result.to_json()], json)
     return 1 if strict and result.changed else 0
 
 
 def _snapshots(name: str, request: Request) -> list[Snapshot]:
     """Return the calibration of a run or readings file, or those in a result of `calibrate --json`."""
+    from bench.analysis.history.comparison import Snapshot
+    from bench.api.calibration import calibration_of
+    from bench.api.source import load_sources
+    from bench.run.record import MANIFEST
+
     path = Path(name)
     if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
         return _from_json(path)
     (source,) = load_sources(replace(request, sources=[name]))
-    result = calibration_of(source)
+    result = calibration_of(source).calibration
     return [
         Snapshot(
             name,
@@ -59,17 +97,22 @@ def _snapshots(name: str, request: Request) -> list[Snapshot]:
 
 
 def _from_json(path: Path) -> list[Snapshot]:
+    import json
+
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise CommandError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:
-        raise CommandError(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
     results = data if isinstance(data, list) else [data]
     return [_from_result(result, path, k if len(results) > 1 else 0) for k, result in enumerate(results, 1)]
 
 
 def _from_result(data: Any, path: Path, number: int) -> Snapshot:
+    from bench.analysis.history.comparison import Snapshot
+    from bench.api.coefficients import coefficients_of
+
     name = f"{path}, result {number}" if number else str(path)
     found = coefficients_of(data, name)
     block = data.get("unit_under_test") or {}
@@ -87,7 +130,7 @@ def _from_result(data: Any, path: Path, number: int) -> Snapshot:
 
 def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
     if len(dates) != len(snapshots):
-        raise CommandError(
+        raise Refused(
             f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in their order"
         )
     return [replace(s, when=_date(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
@@ -100,15 +143,17 @@ def _date(text: str | None, where: str) -> datetime | None:
     try:
         date = datetime.fromisoformat(text)
     except (ValueError, TypeError):
-        raise CommandError(f"{where}: expected a date such as 2026-01-31, got {text!r}") from None
+        raise Refused(f"{where}: expected a date such as 2026-01-31, got {text!r}") from None
     return date if date.tzinfo else date.replace(tzinfo=UTC)
 
 
 def _print(result: Comparison, out: Console) -> None:
+    from bench.model.block import COEFFICIENTS
+
     first = result.first
-    out.print(f"Against {_told(first)}: {first.unit}/g (biases {first.unit}), g = {first.g_m_s2:.6g} m/s²")
+    out.print(f"Against {_named(first)}: {first.unit}/g (biases {first.unit}), g = {first.g_m_s2:.6g} m/s²")
     for changes in result.changes:
-        out.print(f"{_told(changes.later)}:")
+        out.print(f"{_named(changes.later)}:")
         out.print(_changes_table(changes))
         out.print(f"all twelve together: chi2 {changes.chi2:.1f} for 12, {probability(changes.p)}")
     if result.drift is not None:
@@ -132,16 +177,15 @@ def _print(result: Comparison, out: Console) -> None:
     out.print(f"{verdict}; all calibrations alike: {probability(result.p_constant)}", style="bold")
 
 
-def _told(snapshot: Snapshot) -> str:
+def _named(snapshot: Snapshot) -> str:
     when = f" ({snapshot.when:%Y-%m-%d})" if snapshot.when else ""
     return f"{snapshot.name}{when}"
 
 
 def _changes_table(changes: Changes) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ("coefficient", "difference", "U (k=2)", "En", "p, all looks"):
-        table.add_column(heading, justify="left" if heading == "coefficient" else "right")
-    table.add_column("")
+    from bench.model.block import COEFFICIENTS
+
+    table = printing.table("coefficient", ">difference", ">U (k=2)", ">En", ">p, all looks", "")
     rows = zip(
         COEFFICIENTS,
         changes.difference,
@@ -165,10 +209,9 @@ def _changes_table(changes: Changes) -> Table:
 
 
 def _drift_table(drift: Drift) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ("coefficient", "per year", "U (k=2)", "p, all looks"):
-        table.add_column(heading, justify="left" if heading == "coefficient" else "right")
-    table.add_column("")
+    from bench.model.block import COEFFICIENTS
+
+    table = printing.table("coefficient", ">per year", ">U (k=2)", ">p, all looks", "")
     rows = zip(COEFFICIENTS, drift.per_year, drift.u, drift.p_all_looks, drift.shown, strict=True)
     for name, slope, u, p, shown in rows:
         digits = places(float(2 * u))
@@ -179,6 +222,7 @@ def _drift_table(drift: Drift) -> Table:
 
 
 def _write(folder: Path, result: Comparison, out: Console) -> None:
+    from bench.base.whole import to_text, write_whole
     from bench.report.history import history_figure
 
     folder.mkdir(parents=True, exist_ok=True)

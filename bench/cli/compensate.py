@@ -2,74 +2,102 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from bench.analysis.calibration import Verification, verify
-from bench.analysis.temperature.estimate import temperature_model
-from bench.analysis.temperature.model import TemperatureModel
-from bench.analysis.temperature.table import CompensationTable, make_table
-from bench.analysis.temperature.table_files import c_header, table_csv, table_json
+from bench.api.errors import Refused
 from bench.base.numbers import fixed, places, scale_for
-from bench.cli import CommandError, printing
-from bench.cli.source import Request, Source, check_target, load_sources, to_text, write_beside, write_json
-from bench.model.block import COEFFICIENTS
+from bench.cli import printing
+from bench.cli.options import (
+    RUNS,
+    BenchOption,
+    GravityOption,
+    JsonOption,
+    OutOption,
+    RunsOption,
+    SkipOption,
+    Sources,
+    app,
+)
 
-SIDES = {1: "rising", -1: "falling", 0: "first"}
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from bench.analysis.calibration import Verification
+    from bench.analysis.temperature.model import TemperatureModel
+    from bench.analysis.temperature.table import CompensationTable
+    from bench.api.source import Source
+
 FITS_P = 0.01
 HYSTERESIS_P = 0.05
 
 
+@app.command(epilog="Example: bench compensate unit-17-over-temperature --reference 23")
 def compensate(
-    request: Request,
-    reference_c: float,
-    degree: str,
-    step_k: float | None,
-    target: str | None,
-    *,
-    strict: bool,
+    sources: Sources,
+    reference: Annotated[
+        float, typer.Option(metavar="DEGC", help="Temperature about which the polynomials stand.")
+    ] = 23.0,
+    degree: Annotated[
+        str, typer.Option(metavar="auto|N", help="Degree for all, or each coefficient's by the data.")
+    ] = "auto",
+    step: Annotated[
+        float | None, typer.Option(metavar="K", help="Step of the table (default: as fine as u asks for).")
+    ] = None,
+    bench: BenchOption = None,
+    g: GravityOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Polynomials that do not fit (p < 0.01) are not accepted.")
+    ] = False,
+    runs: RunsOption = RUNS,
 ) -> int:
-    """Carry out `bench compensate`; all sources are one body of readings, of one block on one bench.
+    """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
+    from bench.analysis.temperature.estimate import temperature_model
+    from bench.analysis.temperature.table import make_table
+    from bench.analysis.temperature.table_files import table_json
+    from bench.api.calibration import verdict_line
+    from bench.api.source import Request, load_sources
 
-    1 when a verification point fails at its temperature; with `strict` also when the polynomials do not fit.
-    """
-    check_target(target)
-    sources = load_sources(request)
-    first = sources[0]
-    strangers = [source.name for source in sources if source.g_m_s2 != first.g_m_s2]
+    printing.check_target(json)
+    loaded = load_sources(Request(sources, runs, bench, None, g, out, skip_bad_rows))
+    first, names = loaded[0], [source.name for source in loaded]
+    strangers = [source.name for source in loaded if source.g_m_s2 != first.g_m_s2]
     if strangers:
-        raise CommandError(
+        raise Refused(
             f"{', '.join(strangers)}: another local gravity than in {first.name}; "
             "a temperature model is made on one bench"
         )
-    tables = [source.readings for source in sources]
-    model = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, reference_c, _degree(degree))
-    table = make_table(model, first.bench.unit_under_test.range, step_k)
-    checks = [check for source in sources for check in _verified(source, model)]
+    tables = [source.readings for source in loaded]
+    model = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, reference, _degree(degree))
+    table = make_table(model, first.bench.unit_under_test.range, step)
+    checks = [check for source in loaded for check in _verified(source, model)]
     result = {
         **model.to_json(),
         "table": table_json(table),
         "verification": [{"temperature_c": t, **check.to_json()} for t, check in checks],
-        "sources": [source.name for source in sources],
-        "simulated": any(source.simulated for source in sources),
+        "sources": names,
+        "simulated": any(source.simulated for source in loaded),
     }
     files = _write(first, model, table, result)
-    out = printing.console(json=target)
-    _print(model, table, [source.name for source in sources], out)
+    on = printing.console(json=json)
+    _print(model, table, names, on)
     for t, check in checks:
-        printing.verdict(f"verification at {t:.1f} °C", check, out)
+        on.print(verdict_line(f"verification at {t:.1f} °C", check), style="bold")
     for what, file in files.items():
-        printing.written(what, file, out)
-    write_json([result], target)
+        printing.written(what, file, on)
+    printing.write_json([result], json)
     passed = all(check.passed for _, check in checks)
-    return 0 if passed and (fits(model) or not strict) else 1
+    return 0 if passed and (_fits(model) or not strict) else 1
 
 
-def fits(model: TemperatureModel) -> bool:
+def _fits(model: TemperatureModel) -> bool:
     """Whether neither the fit nor the curve over temperature is contradicted by the readings."""
     tests = [model.fitted] + ([model.curve] if model.curve else [])
     return not any(test.p < FITS_P for test in tests)
@@ -80,11 +108,15 @@ def _degree(text: str) -> int | None:
         return None
     if text.isdecimal() and 1 <= int(text) <= 6:
         return int(text)
-    raise CommandError(f"--degree {text}: expected 'auto', or a whole number from 1 to 6")
+    raise Refused(f"--degree {text}: expected 'auto', or a whole number from 1 to 6")
 
 
 def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Verification]]:
     """Judge the verification points of a source, each at its own temperature; those within the range only."""
+    import numpy as np
+
+    from bench.analysis.calibration import verify
+
     rows = source.readings.verification()
     known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
     limit = source.bench.verification_limit_g
@@ -101,6 +133,9 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
 def _write(
     source: Source, model: TemperatureModel, table: CompensationTable, result: dict[str, Any]
 ) -> dict[str, Path]:
+    from bench.analysis.temperature.table_files import c_header, table_csv
+    from bench.base.whole import to_text
+
     unit = source.bench.unit_under_test
     of = f"{unit.type} {unit.serial}".strip() + f", from {source.name}"
     of += " (simulated instruments)" if source.simulated else ""
@@ -113,7 +148,7 @@ def _write(
     return {
         what: source.output("compensate", suffix)
         for (what, suffix), text in texts.items()
-        if write_beside(source.output("compensate", suffix), text, asked=asked)
+        if printing.write_beside(source.output("compensate", suffix), text, asked=asked)
     }
 
 
@@ -138,10 +173,13 @@ def _print(model: TemperatureModel, table: CompensationTable, names: list[str], 
 
 def _coefficient_table(model: TemperatureModel) -> Table:
     """Each coefficient at the reference, its slope there, and how far it goes over the range."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("coefficient", "at the reference", "u", "per K there", "u", "degree", "over the range"):
-        table.add_column(heading, justify="left" if heading == "coefficient" else "right")
-    table.add_column("")
+    import numpy as np
+
+    from bench.model.block import COEFFICIENTS
+
+    table = printing.table(
+        "coefficient", ">at the reference", ">u", ">per K there", ">u", ">degree", ">over the range", ""
+    )
     u = np.sqrt(np.diag(model.covariance)).reshape(model.values.shape)
     swept = model.coefficients(np.linspace(model.minimum_c, model.maximum_c, 101))
     for j, name in enumerate(COEFFICIENTS):
@@ -161,10 +199,12 @@ def _coefficient_table(model: TemperatureModel) -> Table:
 
 
 def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
+    from bench.model.block import COEFFICIENTS
+
     hysteresis = model.hysteresis
     if hysteresis is None:
         return
-    scale = scale_for(float(np.max(np.abs(hysteresis.size))), model.unit)
+    scale = scale_for(float(abs(hysteresis.size).max()), model.unit)
     shown = [
         f"{name} {size / scale.size:+.2g} ± {u / scale.size:.2g}"
         for name, size, u, p in zip(
@@ -172,10 +212,10 @@ def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
         )
         if p < HYSTERESIS_P
     ]
-    told = (
+    which = (
         f"{', '.join(shown)} ({scale.unit}/g, biases in {scale.unit})" if shown else "no single coefficient"
     )
-    verdict = f"shown: {told}" if hysteresis.p < HYSTERESIS_P else "none shown"
+    verdict = f"shown: {which}" if hysteresis.p < HYSTERESIS_P else "none shown"
     out.print(f"hysteresis, rising minus falling: p = {hysteresis.p:.2g} for all twelve: {verdict}")
     if hysteresis.p < HYSTERESIS_P:
         out.print(
@@ -187,7 +227,7 @@ def _print_fit(model: TemperatureModel, out: Console) -> None:
     for what, test in (("lack of fit against the repeats", model.fitted), ("polynomials", model.curve)):
         if test is None:
             continue
-        if not np.isfinite(test.p):
+        if not math.isfinite(test.p):
             out.print(f"{what}: too little to tell")
             continue
         contradicted = (

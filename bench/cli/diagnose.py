@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from datetime import datetime
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from bench.cli import CommandError
+from bench.cli import printing
 from bench.cli.options import (
     RUNS,
     BenchOption,
@@ -30,7 +28,8 @@ from bench.cli.options import (
 
 if TYPE_CHECKING:
     from bench.analysis.diagnosis.full import FullDiagnosis
-    from bench.cli.source import Request, Source
+    from bench.api.diagnosis import Body
+    from bench.api.source import Request
 
 THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Where the libraries of linear algebra look for the number of their threads."""
@@ -68,7 +67,7 @@ def diagnose(
     # many small matrices: the threads of a linear algebra library would wait for one another
     for name in THREADS:
         os.environ.setdefault(name, "1")
-    from bench.cli.source import Request
+    from bench.api.source import Request
 
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
     results = diagnosed(request, json, together=together, accept_first=accept_first, report=report)
@@ -84,19 +83,19 @@ def diagnosed(
     report: bool | None = None,
 ) -> list[FullDiagnosis]:
     """Diagnose the sources, each by itself or all `together`; print, write JSON to `target`, and return it."""
-    from bench.cli import printing
-    from bench.cli.source import check_places, check_target, load_sources, write_json
+    from bench.api.diagnosis import body_of
+    from bench.api.source import check_places, load_sources
     from bench.report.diagnosis.terminal import print_one, print_several
 
-    check_target(target)
+    printing.check_target(target)
     check_places(request)
     alone = together or len(request.sources) == 1
     if alone:
-        body = _body(load_sources(request))
+        body = body_of(load_sources(request))
         results = [examined(body, accept_first=accept_first, report=report is not False)]
     else:
         results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
-    write_json([one.to_dict() for one in results], target)
+    printing.write_json([one.to_dict() for one in results], target)
     out = printing.console(json=target)
     if alone:
         print_one(results[0], out)
@@ -123,102 +122,21 @@ def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iter
 
 
 def _one_of_several(request: Request, name: str, *, accept_first: bool, report: bool) -> FullDiagnosis:
-    from bench.cli.source import load_sources
+    from bench.api.diagnosis import body_of
+    from bench.api.source import load_sources
 
-    body = _body(load_sources(replace(request, sources=[name])))
+    body = body_of(load_sources(replace(request, sources=[name])))
     return examined(body, accept_first=accept_first, report=report)
 
 
 # --- one body of readings ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Body:
-    """A body of readings with the hashes of what it is made of, and the name of what is written for it."""
-
-    source: Source
-    sha256: tuple[str, ...]
-    command: str = "diagnose"
-
-    def output(self, suffix: str) -> Path:
-        """Return the file that is written for it."""
-        return self.source.output(self.command, suffix)
-
-    def not_written(self, what: str, error: OSError) -> None:
-        """Say that a file is not written; raise `error` where its place was asked for."""
-        if self.source.request.out is not None:
-            raise error
-        print(f"note: {what} is not written ({error.strerror}); use --out DIR", file=sys.stderr)
-
-
-def _body(sources: list[Source]) -> Body:
-    """Return the sources as one body of data. Raises `CommandError` where they are not of one bench."""
-    from bench.cli.source import data_sha256
-    from bench.readings.joined import JoinedPart, together
-
-    hashes = tuple(data_sha256(source.readings) for source in sources)
-    first = sources[0]
-    if len(sources) == 1:
-        return Body(first, hashes)
-    for source in sources[1:]:
-        _require_same_bench(first, source)
-    try:
-        readings = together([JoinedPart(source.readings, _began_s(source)) for source in sources])
-    except ValueError as problem:
-        raise CommandError(f"--together: {problem}") from problem
-    # a model that was found in any of the sources has seen a part of the whole
-    model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
-    name = " + ".join(source.name for source in sources)
-    return Body(replace(first, readings=readings, model=model, name=name), hashes, "diagnose-together")
-
-
-def _require_same_bench(first: Source, other: Source) -> None:
-    import numpy as np
-
-    one, two = first.model.installations, other.model.installations
-    same = {
-        "local gravity": first.g_m_s2 == other.g_m_s2,
-        "limits of the stand": first.stand_u == other.stand_u,
-        "installations": one.keys() == two.keys()
-        and all(np.allclose(one[name].block_from_platform, two[name].block_from_platform) for name in one),
-        "scale factors": first.bench.unit_under_test.scale_factors
-        == other.bench.unit_under_test.scale_factors,
-    }
-    different = [what for what, agrees in same.items() if not agrees]
-    if different:
-        raise CommandError(
-            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); say with "
-            "--bench FILE which one holds for both"
-        )
-
-
-def _began_s(source: Source) -> float | None:
-    """Return when the clock of a run began, s; None for a readings file, which does not say."""
-    if source.run is None or source.run.imported:
-        return None
-    try:
-        return datetime.fromisoformat(source.run.created).timestamp()
-    except ValueError:
-        return None
-
-
 def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> FullDiagnosis:
     """Diagnose a body of readings and write what is asked for, the procedure to carry out next in any case."""
-    import platformdirs
+    from bench.api.diagnosis import diagnosis_of
 
-    from bench.analysis.diagnosis import ThresholdCache
-    from bench.analysis.diagnosis.full import diagnose_fully
-
-    source = body.source
-    full = diagnose_fully(
-        source.readings,
-        source.model,
-        source.bench,
-        source.g_m_s2,
-        ThresholdCache(Path(platformdirs.user_cache_dir("triaxial-bench")) / "thresholds"),
-        source=source.name,
-        simulated=source.simulated,
-    )
+    full = diagnosis_of(body.source)
     if full.diagnosis.verdict in ({"named", "confounded"} if accept_first else {"named"}):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:
@@ -226,7 +144,7 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
             proposal = full.next_measurement.write(body.output("-next.yaml"))
             full = replace(full, next_measurement=proposal)
         except OSError as error:
-            body.not_written("the next procedure", error)
+            _not_written(body, "the next procedure", error)
     return replace(full, report=_written_report(body, full)) if report else full
 
 
@@ -255,7 +173,7 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
         except FileMistakes:  # it was free a moment ago, and another program has it now
             continue
         except OSError as error:
-            body.not_written(str(path), error)
+            _not_written(body, str(path), error)
             return None
         return path
     return None
@@ -269,11 +187,15 @@ def _free_files(path: Path) -> Iterator[Path]:
 
 def _written_report(body: Body, full: FullDiagnosis) -> Path | None:
     """Write the page; None where it cannot be written beside the source and nobody said where else."""
-    from bench.cli.provenance import provenance
-    from bench.cli.source import write_beside
-    from bench.report.diagnosis.page import render_diagnosis
+    from bench.api.diagnosis import diagnosis_page
 
     source, file = body.source, body.output(".html")
-    title = f"Diagnosis of {source.block_name or source.name}"
-    page = render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))
-    return file if write_beside(file, page, asked=source.request.out is not None) else None
+    asked = source.request.out is not None
+    return file if printing.write_beside(file, diagnosis_page(source, full), asked=asked) else None
+
+
+def _not_written(body: Body, what: str, error: OSError) -> None:
+    """Say that a file is not written; raise `error` where its place was asked for."""
+    if body.source.request.out is not None:
+        raise error
+    printing.aside(f"note: {what} is not written ({error.strerror}); use --out DIR")

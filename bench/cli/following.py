@@ -10,9 +10,9 @@ from rich.console import Console
 
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.next_measurement import Proposal
+from bench.api.source import Request
 from bench.cli import printing
 from bench.cli.diagnose import diagnosed
-from bench.cli.source import Request
 from bench.run.folder import Run
 from bench.run.prompts import YES, ask
 from bench.run.terminal import TerminalPerson
@@ -42,10 +42,7 @@ def follow(run: Run, carry_out: Callable[[str, str], int]) -> int:
 def _diagnosed(runs: list[Run]) -> FullDiagnosis:
     """Diagnose runs as one body of data and print it; the last run's folder keeps the JSON."""
     names = [str(run.folder) for run in runs]
-    request = Request(
-        sources=names, runs=runs[0].folder.parent, bench=None, model=None, g_m_s2=None, out=None,
-        skip_bad_rows=False,
-    )  # fmt: skip
+    request = Request(names, runs[0].folder.parent)
     file = runs[-1].folder / ("diagnose-together.json" if len(runs) > 1 else "diagnose.json")
     (result,) = diagnosed(request, str(file), together=len(runs) > 1)
     return result

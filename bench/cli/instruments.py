@@ -3,251 +3,98 @@
 from __future__ import annotations
 
 import os
-import sys
-import threading
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated
 
-from rich.table import Table
+import typer
 
-from bench.assembly.served import real_bench
-from bench.cli import CommandError, printing
-from bench.cli.source import bench_path, write_json
-from bench.devices.chambers import ChamberForm
-from bench.devices.heads import HeadForm
-from bench.files.bench.file import BenchFile, load_bench
-from bench.run.workbench import QUICK_NPLC
-from drivers.angles import format_dms
-from drivers.clock import Clock
-from drivers.interfaces import (
-    Answer,
-    BenchError,
-    Identity,
-    Instrument,
-    InstrumentLost,
-    NoAnswer,
-    Prompt,
-    SelfTesting,
-    ThermalChamber,
-    Voltmeter,
-    VoltmeterSettings,
-)
-from drivers.wire.discovery import discover
-from drivers.wire.log import logged_wire
+from bench.api.errors import Refused
+from bench.cli import printing
+from bench.cli.options import BenchOption, JsonOption, WireLogOption, app
 
-_LONGEST_S: Final = 180.0
-"""Every driver gives up by its own timeouts; one that does not is told of after this time."""
-
-_BY_HAND: Final = "manual"
-_NO_TEST: Final = "none"
-_PASSED: Final = "passed"
+if TYPE_CHECKING:
+    from bench.api.instruments import InstrumentLook
 
 
-@runtime_checkable
-class _HasScale(Protocol):
-    """A head that can be asked where it stands without being moved."""
-
-    def position_rad(self) -> float:
-        """Return the angle read back."""
-        ...
-
-
-class _Nobody:
-    """A `Person` who is not asked: manual instruments are left alone."""
-
-    def ask(self, prompt: Prompt) -> Answer:
-        """Raise `NoAnswer`."""
-        raise NoAnswer("operator", "nobody is asked here", "carry out a run to be asked")
+@app.command(epilog="Example: bench instruments --bench my-bench.yaml")
+def instruments(
+    bench: BenchOption = None,
+    discover: Annotated[
+        bool, typer.Option("--discover", help="List what the interfaces offer; address no instrument.")
+    ] = False,
+    json: JsonOption = None,
+    wire_log: WireLogOption = None,
+) -> int:
+    """Open every instrument of a bench at once: identity, self-test, a reading, and all that is wrong."""
+    return _offers(json) if discover else look(bench, json, wire_log)
 
 
-@dataclass
-class _Row:
-    """What is known of one instrument; `failure` is the first thing that went wrong with it.
+def look(bench: str | None, target: str | None = None, wire_log: Path | None = None) -> int:
+    """Look at the instruments: 0 when all is well, 2 when one could not be opened, else 1.
 
-    `samples` is how many a voltmeter is asked for.
+    Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
+    from bench.api.instruments import look_at
+    from bench.api.source import bench_path
+    from bench.files.bench.file import load_bench
+    from drivers.wire.log import logged_wire
 
-    name: str
-    address: str
-    settings: str
-    identity: Identity | None = None
-    self_test: str = ""
-    shows: str = ""
-    value: dict[str, float] | float | None = None
-    failure: BenchError | None = None
-    samples: int = 1
-
-    @property
-    def failures(self) -> list[BenchError]:
-        """All that is wrong, the self-test included."""
-        found = [self.failure] if self.failure is not None else []
-        if self.self_test not in ("", _NO_TEST, _BY_HAND, _PASSED):
-            remedy = "take the cables off its input and test again; if it fails again, have it serviced"
-            found.append(BenchError(self.name, f"its self-test failed: {self.self_test}", remedy))
-        return found
-
-    @property
-    def absent(self) -> bool:
-        """Whether it could not be opened, or was lost while it was looked at."""
-        return self.failure is not None and (
-            self.identity is None or isinstance(self.failure, InstrumentLost)
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the row as JSON values; `value` in V by channel, rad, or °C."""
-        return {
-            "name": self.name,
-            "address": self.address,
-            "identity": None if self.identity is None else asdict(self.identity),
-            "settings": self.settings,
-            "self_test": self.self_test,
-            "value": self.value,
-            "shows": self.shows,
-            "failures": [{"cause": f.cause, "remedy": f.remedy} for f in self.failures],
-        }
-
-
-def look(bench: str | None, target: str | None, wire_log: Path | None) -> int:
-    """Carry out `bench instruments`: 0 when all is well, 2 when one could not be opened, else 1.
-
-    Raises `CommandError` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
-    """
     if not (bench or os.environ.get("BENCH_FILE")):
-        raise CommandError(
+        raise Refused(
             "say which bench: --bench FILE (or set BENCH_FILE); --discover lists what the interfaces offer"
         )
     file = load_bench(bench_path(bench))
     with logged_wire(wire_log) as wire:
-        assembly = real_bench(file, _Nobody(), wire)
-        instruments = assembly.instruments.all()
-        rows = [_row(file, instrument) for instrument in instruments]
-        _look_at_all(instruments, rows, file.voltmeter_range_v, assembly.clock)
+        rows = look_at(file, wire)
     failures = [failure for row in rows for failure in row.failures]
     result = {
         "bench": file.name,
         "passed": not failures,
         "instruments": [row.to_json() for row in rows],
     }
-    write_json([result], target)
+    printing.write_json([result], target)
     if target != "-":
         _show(rows)
-    for failure in failures:
-        print(f"bench: {failure}", file=sys.stderr)
+    printing.aside(*(f"bench: {failure}" for failure in failures))
     if any(row.absent for row in rows):
         return 2
     return 1 if failures else 0
 
 
-def _row(file: BenchFile, instrument: Instrument) -> _Row:
-    """Return the row of an instrument with what the bench file says of it."""
-    section = next(section for section in file.instruments.all() if section.name == instrument.name)
-    address = getattr(section, "resource", None)
-    settings = ""
-    if isinstance(section, HeadForm):
-        settings = f"within {format_dms(section.tolerance)}"
-    elif isinstance(section, ChamberForm):
-        settings = f"{section.minimum:g} to {section.maximum:g} °C"
-    where = "by hand" if address is None else str(address)
-    return _Row(instrument.name, where, settings, samples=file.least_samples)
-
-
-# --- looking ----------------------------------------------------------------------------------------
-
-
-def _look_at_all(
-    instruments: Sequence[Instrument], rows: Sequence[_Row], range_v: float, clock: Clock
-) -> None:
-    """Look at every instrument in a thread of its own, so that none waits for another."""
-    threads = [
-        threading.Thread(target=_look_at, args=(instrument, row, range_v), name=row.name, daemon=True)
-        for instrument, row in zip(instruments, rows, strict=True)
-    ]
-    deadline_s = clock.now_s() + _LONGEST_S
-    for thread in threads:
-        thread.start()
-    try:
-        for thread, row in zip(threads, rows, strict=True):
-            thread.join(max(0.0, deadline_s - clock.now_s()))
-            if thread.is_alive():
-                row.failure = InstrumentLost(
-                    row.name, f"did not come to an end within {_LONGEST_S:g} s", "switch it off and on"
-                )
-    finally:
-        for thread, instrument in zip(threads, instruments, strict=True):
-            if thread.is_alive():  # after Ctrl-C
-                instrument.close()
-
-
-def _look_at(instrument: Instrument, row: _Row, range_v: float) -> None:
-    """Open, test, read and close one instrument; whatever goes wrong stands in its row."""
-    try:
-        row.identity = instrument.open()
-        if row.identity.maker == _BY_HAND:
-            row.self_test = row.shows = _BY_HAND
-            return
-        row.self_test = _NO_TEST
-        if isinstance(instrument, SelfTesting):
-            row.self_test = ""
-            row.self_test = instrument.self_test() or _PASSED
-        _read(instrument, row, range_v)
-    except BenchError as error:
-        row.failure = error
-    except Exception as error:  # one driver's mistake must not hide what the others show
-        cause = f"the driver failed with {type(error).__name__} ({error})"
-        row.failure = BenchError(row.name, cause, "repeat it with --wire-log FILE and report what that shows")
-    finally:
-        instrument.close()
-
-
-def _read(instrument: Instrument, row: _Row, range_v: float) -> None:
-    """Take one reading of a voltmeter, the position of a head, the temperature of a chamber."""
-    if isinstance(instrument, Voltmeter):
-        instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, row.samples))
-        row.settings = f"{range_v:g} V, {QUICK_NPLC:g} NPLC"
-        instrument.start()
-        row.value = {channel: samples[0] for channel, samples in instrument.fetch().items()}
-        row.shows = ", ".join(f"{channel} {value:+.6f} V" for channel, value in row.value.items())
-    elif isinstance(instrument, ThermalChamber):
-        row.value = instrument.temperature("instruments")
-        row.shows = f"{row.value:.1f} °C"
-    elif isinstance(instrument, _HasScale):
-        row.value = instrument.position_rad()
-        row.shows = format_dms(row.value)
-
-
-# --- showing ----------------------------------------------------------------------------------------
-
-
-def _show(rows: Sequence[_Row]) -> None:
+def _show(rows: Sequence[InstrumentLook]) -> None:
     out = printing.console()
-    table = Table(box=None, pad_edge=False)
+    table = printing.table()
     for heading in ("instrument", "address", "identity", "settings", "self-test", "shows"):
         # An address is copied from the table, so it must not be broken.
         table.add_column(heading, overflow="fold", no_wrap=heading in {"instrument", "address", "self-test"})
     for row in rows:
         identity = "NOT OPENED" if row.identity is None else str(row.identity)
-        failed = row.self_test not in ("", _NO_TEST, _BY_HAND, _PASSED)
         shows = "FAILED" if row.failure is not None and row.identity is not None else row.shows
         table.add_row(
-            row.name, row.address, identity, row.settings, "FAILED" if failed else row.self_test, shows
+            row.name,
+            row.address,
+            identity,
+            row.settings,
+            "FAILED" if row.test_failed else row.self_test,
+            shows,
         )
     out.print(table)
     well = sum(not row.failures for row in rows)
     out.print(f"{well} of {len(rows)} instruments are well")
 
 
-def offers(target: str | None) -> int:
-    """Carry out `bench instruments --discover`: list what the interfaces offer, address no instrument."""
+def _offers(target: str | None) -> int:
+    """List what the interfaces offer; address no instrument."""
+    from drivers.wire.discovery import discover
+
     offer = discover()
-    write_json([asdict(offer)], target)
+    printing.write_json([asdict(offer)], target)
     if target == "-":
         return 0
     out = printing.console()
-    table = Table(box=None, pad_edge=False)
-    for heading in ("resource", "what it is"):
-        table.add_column(heading, no_wrap=True)
+    table = printing.table("resource", "what it is", no_wrap=True)
     for resource in offer.resources:
         table.add_row(resource, "")
     for port in offer.serial_ports:

@@ -11,109 +11,132 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-from rich.table import Table
+import typer
 
-from bench.assembly.served import Serving, served_bench
-from bench.cli import CommandError, printing
-from bench.cli.source import bench_path
-from bench.files.bench.file import BenchFile, load_bench
-from bench.files.model import load_model
-from bench.model import ForwardModel
+from bench.api.errors import Refused
+from bench.cli import printing
+from bench.cli.options import BenchOption, ModelOption, app
+
+if TYPE_CHECKING:
+    from bench.assembly.served import Serving
+    from bench.files.bench.file import BenchFile
 
 _LOOK_S: Final = 0.5
 _CONTROL_TIMEOUT_S: Final = 10.0
 
 
-@dataclass(frozen=True)
-class Request:
-    """What `bench simulate` was asked to serve."""
+@app.command(epilog="Example: bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
+def simulate(
+    command: Annotated[
+        str | None,
+        typer.Argument(help="With --control: what to do on a bench that is served, such as 'turn 45 deg'."),
+    ] = None,
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    seed: Annotated[int, typer.Option(help="Random numbers of the simulated bench.", min=0)] = 1,
+    speed: Annotated[float, typer.Option(help="How many times faster than real time it goes.")] = 1.0,
+    host: Annotated[str, typer.Option(help="Address to listen on; loopback keeps others out.")] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(help="First TCP port, the others follow (default: free ones).")
+    ] = None,
+    ready_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--ready-file", metavar="FILE", help="JSON with all addresses, once everything listens."
+        ),
+    ] = None,
+    no_pty: Annotated[bool, typer.Option("--no-pty", help="TCP alone, no pseudo-terminals.")] = False,
+    control: Annotated[
+        str | None,
+        typer.Option("--control", metavar="HOST:PORT", help="Send COMMAND to a bench that is served."),
+    ] = None,
+) -> int:
+    """Serve the simulated instruments of a bench file until Ctrl-C, or command a bench that is served."""
+    if control is not None or command is not None:
+        return _command(control, command)
+    return _serve(bench, model, seed, speed, host, port, ready_file, with_terminals=not no_pty)
 
-    bench: str | None
-    model: Path | None
-    seed: int
-    speed: float
-    host: str
-    port: int | None
-    ready_file: Path | None
-    with_terminals: bool
 
+def _serve(
+    bench: str | None,
+    model: Path | None,
+    seed: int,
+    speed: float,
+    host: str,
+    port: int | None,
+    ready_file: Path | None,
+    *,
+    with_terminals: bool,
+) -> int:
+    """Serve until Ctrl-C or SIGTERM, then end with 0.
 
-def serve(request: Request) -> int:
-    """Carry out `bench simulate`: serve until Ctrl-C or SIGTERM, then end with 0.
-
-    Raises `CommandError` for a speed or port that there is not, `BenchError` for a port that is taken.
+    Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
     """
-    if not 0.0 < request.speed < math.inf:
-        raise CommandError(f"--speed {request.speed:g}: a clock runs at a positive speed such as 1 or 60")
-    if request.port is not None and not 0 <= request.port <= 65535:
-        raise CommandError(f"--port {request.port}: ports are numbers from 1 to 65535 (0: free ones)")
-    bench = load_bench(bench_path(request.bench))
+    from bench.api.execution import simulated_truth
+    from bench.api.source import bench_path
+    from bench.assembly.served import served_bench
+    from bench.files.bench.file import load_bench
+
+    if not 0.0 < speed < math.inf:
+        raise Refused(f"--speed {speed:g}: a clock runs at a positive speed such as 1 or 60")
+    if port is not None and not 0 <= port <= 65535:
+        raise Refused(f"--port {port}: ports are numbers from 1 to 65535 (0: free ones)")
+    file = load_bench(bench_path(bench))
     with (
         _ended_by_signal() as ended,
         served_bench(
-            bench,
-            _truth(bench, request.model),
-            request.seed,
-            speed=request.speed,
-            host=request.host,
-            first_port=request.port or 0,
-            with_terminals=request.with_terminals,
+            file,
+            simulated_truth(file, model),
+            seed,
+            speed=speed,
+            host=host,
+            first_port=port or 0,
+            with_terminals=with_terminals,
         ) as serving,
-        _announced(serving, request.ready_file),
+        _announced(serving, ready_file),
     ):
-        _show(bench, serving)
+        _show(file, serving)
         while not ended.wait(_LOOK_S):  # in slices: on Windows a signal does not end a wait
             pass
     return 0
 
 
-def command(control: str | None, text: str | None) -> int:
-    """Carry out `bench simulate --control HOST:PORT COMMAND`: print the answer, a line of JSON.
+def _command(control: str | None, text: str | None) -> int:
+    """Send a command to a bench that is served: print the answer, a line of JSON.
 
-    Raises `CommandError` when nobody answers, or the command is refused.
+    Raises `Refused` when nobody answers, or the command is refused.
     """
     if control is None or text is None:
-        raise CommandError("a bench that is served takes: bench simulate --control HOST:PORT 'turn 45 deg'")
+        raise Refused("a bench that is served takes: bench simulate --control HOST:PORT 'turn 45 deg'")
     host, _, port = control.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
-        raise CommandError(f"--control {control}: expected HOST:PORT as 'bench simulate' shows it")
+        raise Refused(f"--control {control}: expected HOST:PORT as 'bench simulate' shows it")
     line = " ".join(text.split())
     try:
         with socket.create_connection((host, int(port)), timeout=_CONTROL_TIMEOUT_S) as connection:
             connection.sendall(f"{line or 'help'}\n".encode())
             with connection.makefile("r", encoding="utf-8") as lines:
                 answer = lines.readline()
-        told = json.loads(answer)
+        reply = json.loads(answer)
     except OSError as error:
-        raise CommandError(
+        raise Refused(
             f"no simulated bench answers at {control} ({error.strerror or error}); see its ready file"
         ) from error
     except ValueError as error:
-        raise CommandError(f"{control} is not the control of a simulated bench") from error
-    if not isinstance(told, dict) or not told.get("ok"):
-        raise CommandError(str(told.get("error", answer)) if isinstance(told, dict) else answer)
+        raise Refused(f"{control} is not the control of a simulated bench") from error
+    if not isinstance(reply, dict) or not reply.get("ok"):
+        raise Refused(str(reply.get("error", answer)) if isinstance(reply, dict) else answer)
     printing.console().out(answer.strip(), highlight=False)
     return 0
 
 
-def _truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the world obeys: effects of the bench file and of the model file."""
-    effects = bench.applied_effects()
-    if model is not None:
-        effects += load_model(model, bench.installation_models()).applied_effects()
-    return ForwardModel(bench.installation_models(), effects)
-
-
 def _show(bench: BenchFile, serving: Serving) -> None:
     out = printing.console()
-    table = Table(box=None, pad_edge=False)
-    for heading in ("instrument", "model", "TCP", "pseudo-terminal"):
-        table.add_column(heading, no_wrap=True)
+    table = printing.table("instrument", "model", "TCP", "pseudo-terminal", no_wrap=True)
     for served in serving.instruments:
         table.add_row(served["name"], served["model"], served["tcp"], served["pty"] or "none")
     out.print(table)
@@ -141,9 +164,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
         else:
             ready_file.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise CommandError(
-            f"{ready_file}: cannot be written ({error.strerror}); choose another place"
-        ) from error
+        raise Refused(f"{ready_file}: cannot be written ({error.strerror}); choose another place") from error
     try:
         yield
     finally:

@@ -2,46 +2,76 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from bench.analysis.calibration import CalibrationError
-from bench.analysis.stability.advice import Averaging, ReadingAdvice, averaging, reading_advice
-from bench.analysis.stability.allan import AllanCurve, allan_curve
-from bench.analysis.stability.noise_terms import MISFIT_P, TERMS, NoiseTerms, fit_terms
-from bench.analysis.stability.static_record import StaticRecord, from_columns, read_static
+from bench.api.errors import Refused
 from bench.base.numbers import MINUS, probability, quantity
-from bench.cli import CommandError, printing
-from bench.cli.source import bench_path, check_target, to_text, write_beside, write_json
-from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
-from bench.procedure.plan import Read
-from bench.run.folder import BENCH, find_run
+from bench.cli import printing
+from bench.cli.options import RUNS, BenchOption, JsonOption, OutOption, RunsOption, app
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from bench.analysis.stability.advice import Averaging, ReadingAdvice
+    from bench.analysis.stability.allan import AllanCurve
+    from bench.analysis.stability.noise_terms import NoiseTerms
+    from bench.analysis.stability.static_record import StaticRecord
+    from bench.files.bench.file import BenchFile
 
 AXES = "xyz"
 
 
+@app.command(epilog="Example: bench stability static.csv --size 20e-6 --bench my-bench.yaml")
+def stability(
+    record: Annotated[
+        str, typer.Argument(metavar="FILE", help="Static record (CSV: time_s,ux_v,uy_v,uz_v), or a run.")
+    ],
+    size: Annotated[
+        float | None,
+        typer.Option(help="Noise that a reading may have, unit of the signals (default: where it flattens)."),
+    ] = None,
+    integration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S", help="How long the meter integrated for each sample (default: all the time)."
+        ),
+    ] = None,
+    bench: BenchOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves."""
+    printing.check_target(json)
+    if size is not None and not (math.isfinite(size) and size > 0):
+        raise Refused(f"--size {size}: a size is a positive number in the unit of the signals")
+    file = _bench_of(record, runs, bench)
+    static, recorded_s = _record(record, runs, file)
+    integration_s = integration or recorded_s or static.interval_s
+    if not 0 < integration_s <= static.interval_s:
+        raise Refused(
+            f"--integration {integration_s:g}: a sample cannot integrate longer than the {static.interval_s:.4g} s "
+            "from one to the next"
+        )
+    found = _findings(static, file, size, integration_s)
+    result = _json(static, found)
+    on = printing.console(json=json)
+    _print(static, found, file, on)
+    files = _write(_stem(record, runs, out), static, found, result, asked=out is not None)
+    for what, written in files.items():
+        printing.written(what, written, on)
+    printing.write_json([result], json)
+    return 0 if all(average.reached for average in found.averages) else 1
+
+
 @dataclass(frozen=True)
-class Request:
-    """A static record (a file, or a run), the size asked for in the unit of the signals, where to write.
-
-    `integration_s` is how long the meter integrated for each sample; None where all the time, or a run tells.
-    """
-
-    record: str
-    runs: Path
-    bench: str | None
-    size: float | None
-    integration_s: float | None
-    out: Path | None
-
-
-@dataclass(frozen=True)
-class Findings:
+class _Findings:
     """What was found of each channel, and of the reading that suits all three."""
 
     curves: list[AllanCurve]
@@ -51,58 +81,48 @@ class Findings:
     no_advice: str
 
 
-def stability(request: Request, target: str | None) -> int:
-    """Carry out `bench stability`; 1 when the size asked for is not reached by a channel."""
-    check_target(target)
-    if request.size is not None and not (np.isfinite(request.size) and request.size > 0):
-        raise CommandError(f"--size {request.size}: a size is a positive number in the unit of the signals")
-    bench = _bench_of(request)
-    record, told_s = _record(request, bench)
-    integration_s = request.integration_s or told_s or record.interval_s
-    if not 0 < integration_s <= record.interval_s:
-        raise CommandError(
-            f"--integration {integration_s:g}: a sample cannot integrate longer than the {record.interval_s:.4g} s "
-            "from one to the next"
-        )
-    found = _findings(record, bench, request.size, integration_s)
-    result = _json(record, found)
-    out = printing.console(json=target)
-    _print(record, found, bench, out)
-    for what, file in _write(request, record, found, result).items():
-        printing.written(what, file, out)
-    write_json([result], target)
-    return 0 if all(average.reached for average in found.averages) else 1
-
-
-def _bench_of(request: Request) -> BenchFile:
+def _bench_of(record: str, runs: Path, bench: str | None) -> BenchFile:
     """Return the bench file asked for, else that of the run, else the usual one."""
-    own = request.runs / request.record / BENCH
-    if request.bench is None and not Path(request.record).is_file() and own.is_file():
+    from bench.api.source import bench_path
+    from bench.files.bench.file import load_bench, load_recorded_bench
+    from bench.run.folder import BENCH
+
+    own = runs / record / BENCH
+    if bench is None and not Path(record).is_file() and own.is_file():
         return load_recorded_bench(own)
-    return load_bench(bench_path(request.bench))
+    return load_bench(bench_path(bench))
 
 
-def _record(request: Request, bench: BenchFile) -> tuple[StaticRecord, float | None]:
+def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, float | None]:
     """Return the record, and how long each sample integrated where a run tells it."""
-    path = Path(request.record)
+    from bench.analysis.stability.static_record import from_columns, read_static
+    from bench.procedure.plan import Read
+    from bench.run.folder import find_run
+
+    path = Path(name)
     if path.is_file():
         return read_static(path), None
     if path.suffix.lower() in {".csv", ".txt"}:
-        raise CommandError(f"{request.record}: no such file; check the name")
-    run = find_run(request.record, request.runs)
+        raise Refused(f"{name}: no such file; check the name")
+    run = find_run(name, runs)
     readings = run.readings()
     settings = set(zip(readings.installation, readings.series, readings.target_rad, strict=True))
     if len(settings) > 1:
-        raise CommandError(
-            f"{request.record}: the block was turned in this run; a static record is one setting "
+        raise Refused(
+            f"{name}: the block was turned in this run; a static record is one setting "
             "(procedure 'stability')"
         )
-    told = {step.samples * step.nplc for step in run.plan.steps if isinstance(step, Read)}
-    integration_s = min(told) / bench.line_frequency if told else None
-    return from_columns(request.record, readings.unit, readings.time_s, readings.signal), integration_s
+    integrated = {step.samples * step.nplc for step in run.plan.steps if isinstance(step, Read)}
+    integration_s = min(integrated) / bench.line_frequency if integrated else None
+    return from_columns(name, readings.unit, readings.time_s, readings.signal), integration_s
 
 
-def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integration_s: float) -> Findings:
+def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integration_s: float) -> _Findings:
+    from bench.analysis.calibration import CalibrationError
+    from bench.analysis.stability.advice import averaging, reading_advice
+    from bench.analysis.stability.allan import allan_curve
+    from bench.analysis.stability.noise_terms import fit_terms
+
     curves = [allan_curve(record.signal[:, i], record.interval_s) for i in range(3)]
     terms = [fit_terms(curve) for curve in curves]
     averages = [averaging(c, t, size) for c, t in zip(curves, terms, strict=True)]
@@ -111,11 +131,11 @@ def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integr
     try:
         advice = reading_advice(integrated_s, bench.line_frequency, bench.nplc_supported, bench.most_samples)
     except CalibrationError as error:
-        return Findings(curves, terms, averages, None, str(error))
-    return Findings(curves, terms, averages, advice, "")
+        return _Findings(curves, terms, averages, None, str(error))
+    return _Findings(curves, terms, averages, advice, "")
 
 
-def _json(record: StaticRecord, found: Findings) -> dict[str, Any]:
+def _json(record: StaticRecord, found: _Findings) -> dict[str, Any]:
     channels = {}
     for i, axis in enumerate(AXES):
         curve, terms, average = found.curves[i], found.terms[i], found.averages[i]
@@ -149,7 +169,9 @@ def _json(record: StaticRecord, found: Findings) -> dict[str, Any]:
     }
 
 
-def _print(record: StaticRecord, found: Findings, bench: BenchFile, out: Console) -> None:
+def _print(record: StaticRecord, found: _Findings, bench: BenchFile, out: Console) -> None:
+    from bench.analysis.stability.noise_terms import MISFIT_P
+
     out.print(
         f"Static record {record.source}: {len(record.signal)} samples of {record.interval_s:.4g} s, "
         f"{record.duration_s:.4g} s, in {record.unit}"
@@ -173,13 +195,12 @@ def _print(record: StaticRecord, found: Findings, bench: BenchFile, out: Console
     out.print(found.advice.line())
 
 
-def _table(record: StaticRecord, found: Findings) -> Table:
+def _table(record: StaticRecord, found: _Findings) -> Table:
     """A column for each channel: mean, drift, the noise terms with u or what they are below, the averaging."""
+    from bench.analysis.stability.noise_terms import TERMS
+
     unit = record.unit
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    for axis in AXES:
-        table.add_column(axis, justify="right")
+    table = printing.table("", *(f">{axis}" for axis in AXES))
     table.add_row("mean", *(f"{mean:.7g} {unit}" for mean in record.mean))
     table.add_row("drift", *(_signed(3600.0 * slope, unit) + "/h" for slope in record.drift_per_s.tolist()))
     for k, term in enumerate(TERMS):
@@ -194,30 +215,39 @@ def _signed(value: float, unit: str) -> str:
 
 
 def _shown(terms: NoiseTerms, k: int, unit: str) -> str:
+    from bench.analysis.stability.noise_terms import TERMS
+
     if terms.shown[k]:
         share = terms.u[k] / terms.values[k]
         return f"{quantity(float(terms.values[k]), unit)}{TERMS[k].unit} ± {100 * share:.1f} %"
     return f"< {quantity(float(terms.upper[k]), unit)}{TERMS[k].unit}"
 
 
+def _stem(record: str, runs: Path, out: Path | None) -> Path:
+    """Return the name without suffix of what is written."""
+    from bench.run.folder import find_run
+
+    path = Path(record)
+    if path.is_file():
+        return (out or path.parent / "stability") / path.stem
+    run = find_run(record, runs)
+    return out / f"{run.name}-stability" if out else run.folder / "stability"
+
+
 def _write(
-    request: Request, record: StaticRecord, found: Findings, result: dict[str, Any]
+    stem: Path, record: StaticRecord, found: _Findings, result: dict[str, Any], *, asked: bool
 ) -> dict[str, Path]:
+    from bench.base.whole import to_text
     from bench.report.stability import allan_figure
 
-    path = Path(request.record)
-    if path.is_file():
-        stem = (request.out or path.parent / "stability") / path.stem
-    else:
-        run = find_run(request.record, request.runs)
-        stem = request.out / f"{run.name}-stability" if request.out else run.folder / "stability"
     longest = max(average.tau_s for average in found.averages)
     texts = {
         ("result", ".json"): to_text(result),
         ("figure", ".svg"): allan_figure(found.curves, found.terms, record.unit, longest),
     }
     files = {what: stem.with_name(stem.name + suffix) for what, suffix in texts}
-    asked = request.out is not None
     return {
-        what: files[what] for (what, _), text in texts.items() if write_beside(files[what], text, asked=asked)
+        what: files[what]
+        for (what, _), text in texts.items()
+        if printing.write_beside(files[what], text, asked=asked)
     }

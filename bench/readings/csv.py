@@ -8,7 +8,7 @@ import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from bench.readings.table import (
     Readings,
     scan_order,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LISTED_AT_ONCE: Final = 20
 OVERLOAD: Final = 9.0e37
@@ -62,6 +65,37 @@ def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool 
     then a count); with `skip_bad_rows` they are left out and listed in `Readings.skipped`.
     """
     header, body = split_table(path, _example_header())
+    return _read(path, header, body, installations, skip_bad_rows=skip_bad_rows)
+
+
+def read_frame(
+    frame: pd.DataFrame, installations: Collection[str], *, skip_bad_rows: bool = False
+) -> Readings:
+    """Read a pandas DataFrame with the columns of a readings file; what is missing in it is an empty cell.
+
+    As `read_csv`; the lines in a `ReadingsError` are those of the file that the frame would make.
+    """
+    header = [str(name).strip().lower() for name in frame.columns]
+    rows = frame.itertuples(index=False, name=None)
+    body = [(line, [_cell(value) for value in row]) for line, row in enumerate(rows, start=2)]
+    return _read(Path("DataFrame"), header, body, installations, skip_bad_rows=skip_bad_rows)
+
+
+def _cell(value: object) -> str:
+    """Return a value of a frame as a readings file has it; whole numbers stand as floats where one is missing."""
+    if value is None or value != value or str(value) == "<NA>":  # noqa: PLR0124 - NaN is not itself
+        return ""
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def _read(
+    path: Path,
+    header: list[str],
+    body: list[tuple[int, list[str]]],
+    installations: Collection[str],
+    *,
+    skip_bad_rows: bool,
+) -> Readings:
     suffix = _signal_suffix(path, header)
     signals = [f"u{axis}_{suffix}" for axis in "xyz"]
     known = {*REQUIRED, *OPTIONAL, *AS_TEXT, *signals, *(f"u{axis}_sd_{suffix}" for axis in "xyz")}

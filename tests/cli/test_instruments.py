@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
+from bench.api import instruments as command
 from bench.assembly.served import dry_bench
-from bench.cli import instruments as command
 from bench.cli.app import main
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
@@ -204,7 +204,7 @@ class Stuck:
 
 def test_a_driver_that_never_ends_is_given_up_and_closed() -> None:
     head = Stuck()
-    row = command._Row("head", "COM1", "")
+    row = command.InstrumentLook("head", "COM1", "")
     clock = VirtualClock()
     times_s = iter([0.0, command._LONGEST_S + 1.0, command._LONGEST_S + 2.0])
     clock.now_s = lambda: next(times_s)  # type: ignore[method-assign]
@@ -219,7 +219,7 @@ def test_a_motorised_head_shows_where_it_stands() -> None:
         def position_rad(self) -> float:
             return 0.7853981633974483
 
-    row = command._Row("head", "COM1", "")
+    row = command.InstrumentLook("head", "COM1", "")
     command._look_at(Standing(), row, 10.0)
     assert (row.shows, row.self_test, row.failures) == ("45°00′00″", "none", [])
 
@@ -294,7 +294,7 @@ def test_what_cannot_be_searched_is_a_note() -> None:
 def test_the_command_lists_offers(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     port = SerialPort("ASRL/dev/ttyUSB0::INSTR", "/dev/ttyUSB0", "USB serial")
     found = discover(lambda: ("TCPIP::10.0.0.7::INSTR",), lambda: (port,))
-    monkeypatch.setattr(command, "discover", lambda: found)
+    monkeypatch.setattr("drivers.wire.discovery.discover", lambda: found)
     status, out, err = bench("--discover")
     assert (status, err) == (0, "")
     assert "TCPIP::10.0.0.7::INSTR" in out

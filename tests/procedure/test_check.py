@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.assumptions import require_rank
+from bench.api import outlook as command
 from bench.assembly.served import dry_bench
-from bench.cli import check as command
 from bench.cli.app import main
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure

@@ -8,9 +8,10 @@ import pytest
 
 from bench.analysis.diagnosis import NamedEffect
 from bench.analysis.diagnosis.result import EffectValue
+from bench.api.diagnosis import Body
+from bench.api.source import Request, load_sources
 from bench.base.numbers import fixed
-from bench.cli.diagnose import Body, examined
-from bench.cli.source import Request, load_sources
+from bench.cli.diagnose import examined
 from bench.readings.csv import write_csv
 from bench.report.diagnosis.words import effect_title, parameters_in_words, smallest_found, unit_in_print
 from tests.support.diagnosis_bench import paper_run
@@ -19,7 +20,7 @@ from tests.support.diagnosis_bench import paper_run
 def page_of(folder, seed, **hidden):
     """Diagnose readings of the independent simulation; return the result and the page."""
     write_csv(paper_run(np.random.default_rng(seed), directions=(1, -1, 1), **hidden), folder / "r.csv")
-    request = Request([str(folder / "r.csv")], folder, None, None, None, None, False)
+    request = Request([str(folder / "r.csv")], folder)
     (source,) = load_sources(request)
     return examined(Body(source, ("0",))), (folder / "diagnose" / "r.html").read_text(encoding="utf-8")
 
@@ -109,7 +110,7 @@ def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path)
     (tmp_path / "r.csv").write_text(
         text.replace("ux_v", "t_v").replace("uz_v", "ux_v").replace("t_v", "uz_v")
     )
-    request = Request([str(tmp_path / "r.csv")], tmp_path, None, None, None, None, False)
+    request = Request([str(tmp_path / "r.csv")], tmp_path)
     (source,) = load_sources(request)
     full = examined(Body(source, ("0",)))
     page = text_of((tmp_path / "diagnose" / "r.html").read_text(encoding="utf-8"))

@@ -1,0 +1,148 @@
+"""Where readings and model disagree, found in one body of readings; nothing is written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+from rich.console import Console
+
+from bench.analysis.diagnosis import Diagnosis, ThresholdCache
+from bench.analysis.diagnosis.full import FullDiagnosis, diagnose_fully
+from bench.api.errors import Refused
+from bench.api.provenance import provenance
+from bench.api.source import Source, data_sha256
+from bench.base.tables import as_text
+from bench.base.whole import write_whole
+from bench.readings.joined import JoinedPart, together
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body of readings with the hashes of what it is made of, and the name of what is written for it."""
+
+    source: Source
+    sha256: tuple[str, ...]
+    command: str = "diagnose"
+
+    def output(self, suffix: str) -> Path:
+        """Return the file that is written for it."""
+        return self.source.output(self.command, suffix)
+
+
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """Where readings and model disagree, what is missing, and how far the gap closes with it.
+
+    `full` holds all that was found, `source` the readings, the bench and the model.
+    """
+
+    source: Source
+    full: FullDiagnosis
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The verdict with what speaks for it: places, effects, mistakes, the gap."""
+        return self.full.diagnosis
+
+    @property
+    def verdict(self) -> str:
+        """One of agrees, mistake, named, confounded, unknown."""
+        return self.diagnosis.verdict
+
+    @property
+    def bench(self) -> str:
+        """Which bench file gave the errors of the stand and gravity; and why that one."""
+        return self.source.bench_taken
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench diagnose --json` writes it; no file was written, so it names none."""
+        return self.full.to_dict()
+
+    def report(self, path: str | Path) -> None:
+        """Write the page (HTML, with everything in it). Raises `OSError`."""
+        write_whole(Path(path), diagnosis_page(self.source, self.full))
+
+    def print_on(self, out: Console) -> None:
+        """Print the diagnosis in the order in which it was made."""
+        from bench.report.diagnosis.terminal import print_one
+
+        print_one(self.full, out)
+
+    def __repr__(self) -> str:
+        """Return what `bench diagnose` prints, and which bench file was taken."""
+        return f"{as_text(self.print_on)}\nbench: {self.bench}"
+
+
+def body_of(sources: list[Source]) -> Body:
+    """Return the sources as one body of data. Raises `Refused` where they are not of one bench."""
+    hashes = tuple(data_sha256(source.readings) for source in sources)
+    first = sources[0]
+    if len(sources) == 1:
+        return Body(first, hashes)
+    for source in sources[1:]:
+        _require_same_bench(first, source)
+    try:
+        readings = together([JoinedPart(source.readings, _began_s(source)) for source in sources])
+    except ValueError as problem:
+        raise Refused(f"--together: {problem}") from problem
+    # a model that was found in any of the sources has seen a part of the whole
+    model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
+    name = " + ".join(source.name for source in sources)
+    return Body(replace(first, readings=readings, model=model, name=name), hashes, "diagnose-together")
+
+
+def _require_same_bench(first: Source, other: Source) -> None:
+    one, two = first.model.installations, other.model.installations
+    same = {
+        "local gravity": first.g_m_s2 == other.g_m_s2,
+        "limits of the stand": first.stand_u == other.stand_u,
+        "installations": one.keys() == two.keys()
+        and all(np.allclose(one[name].block_from_platform, two[name].block_from_platform) for name in one),
+        "scale factors": first.bench.unit_under_test.scale_factors
+        == other.bench.unit_under_test.scale_factors,
+    }
+    different = [what for what, agrees in same.items() if not agrees]
+    if different:
+        raise Refused(
+            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); say with "
+            "--bench FILE which one holds for both"
+        )
+
+
+def _began_s(source: Source) -> float | None:
+    """Return when the clock of a run began, s; None for a readings file, which does not say."""
+    if source.run is None or source.run.imported:
+        return None
+    try:
+        return datetime.fromisoformat(source.run.created).timestamp()
+    except ValueError:
+        return None
+
+
+def diagnosis_of(source: Source) -> FullDiagnosis:
+    """Diagnose a source with its own bench and model; thresholds are kept in the user's cache folder.
+
+    Raises `CalibrationError` where the readings do not determine the coefficients.
+    """
+    return diagnose_fully(
+        source.readings,
+        source.model,
+        source.bench,
+        source.g_m_s2,
+        ThresholdCache(Path(platformdirs.user_cache_dir("triaxial-bench")) / "thresholds"),
+        source=source.name,
+        simulated=source.simulated,
+    )
+
+
+def diagnosis_page(source: Source, full: FullDiagnosis) -> str:
+    """Return the page of a diagnosis (HTML)."""
+    from bench.report.diagnosis.page import render_diagnosis
+
+    title = f"Diagnosis of {source.block_name or source.name}"
+    return render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))

@@ -1,0 +1,264 @@
+"""Runs: begun, carried out on the bench or dry, watched, and what can be gone on with."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from rich.console import Console
+
+from bench.api.errors import Refused
+from bench.api.provenance import versions
+from bench.api.source import bench_path
+from bench.assembly.served import Assembly, dry_bench, real_bench
+from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
+from bench.files.model import load_model
+from bench.files.shipped import find_procedure
+from bench.model import ForwardModel
+from bench.procedure.load import Procedure, check, load_procedure
+from bench.procedure.plan import Read
+from bench.run.control import ControlFile
+from bench.run.events import EventType
+from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
+from bench.run.log import RunLog
+from bench.run.record import History, Manifest, Record, RecordError, is_being_written
+from bench.run.resume import Progress, resume_point
+from bench.run.runner import RunAborted, Runner, Watch
+from bench.run.states import ENDED
+from bench.run.terminal import ProgressBar, TerminalPerson
+from bench.run.watch.early_warning import EarlyWarning
+from drivers.clock import utc_now
+from drivers.interfaces import BenchError
+from drivers.wire.log import WireLog
+
+
+@dataclass(frozen=True)
+class NewRun:
+    """A run that may begin: its folder, what its manifest says, and the files that it is begun with."""
+
+    folder: Path
+    manifest: Manifest
+    inputs: dict[str, bytes]
+
+    def record(self, shield: Callable[[], AbstractContextManager[None]] | None = None) -> Record:
+        """Make the folder and return its record; `shield` keeps a line from being cut in two by Ctrl-C."""
+        if shield is None:
+            return Record.create(self.folder, self.manifest, self.inputs, utc_now)
+        return Record.create(self.folder, self.manifest, self.inputs, utc_now, shield)
+
+
+def new_run(
+    procedure: str,
+    bench: str | None,
+    runs: Path,
+    *,
+    dry_run: bool,
+    seed: int,
+    name: str | None = None,
+    operator: str = "",
+    model: Path | None = None,
+) -> NewRun:
+    """Check a procedure against a bench and return the run that it makes.
+
+    Raises `FileMistakes` and `Refused` with all that speaks against it.
+    """
+    procedure_path, bench_file_path = find_procedure(procedure), bench_path(bench)
+    loaded = load_procedure(procedure_path)
+    plan = loaded.expand()
+    file = load_bench(bench_file_path)
+    problems = check(plan, file, dry_run=dry_run)
+    if problems:
+        raise Refused("\n".join(problems))
+    inputs = {
+        PLAN: json.dumps(plan.to_json(), indent=1).encode(),
+        PROCEDURE: procedure_path.read_bytes(),
+        **_included(loaded),
+        BENCH: bench_file_path.read_bytes(),
+    }
+    if model is not None:
+        load_model(model, file.installation_models())
+        inputs[MODEL] = model.read_bytes()
+    name = checked_name(name or _free_name(plan.name, runs))
+    unit = file.unit_under_test
+    manifest: Manifest = {
+        "name": name,
+        "created": utc_now().isoformat(),
+        "dry_run": dry_run,
+        "seed": seed if dry_run else None,
+        "operator": operator,
+        "procedure": str(procedure_path),
+        "bench": str(bench_file_path),
+        "plan_hash": plan.hash,
+        "unit_under_test": {"type": unit.type, "serial": unit.serial},
+        "versions": versions(),
+    }
+    if foreign := foreign_drivers(file):
+        manifest["devices"] = foreign
+    return NewRun(runs / name, manifest, inputs)
+
+
+def refuse_missing_devices(run: Run) -> None:
+    """Raise `Refused` where a driver that the run was begun with is not here."""
+    came_from = run.manifest.get("devices", {})
+    missing = [
+        f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")
+        for name in missing_drivers(run.folder / BENCH)
+    ]
+    if missing:
+        raise Refused(
+            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is "
+            "in with --devices or BENCH_DEVICES, or install its distribution"
+        )
+
+
+def _included(procedure: Procedure) -> dict[str, bytes]:
+    """The files that a procedure includes, numbered, since two may have one name."""
+    return {
+        f"include-{n}-{path.name}": path.read_bytes() for n, path in enumerate(procedure.files[1:], start=1)
+    }
+
+
+def _free_name(procedure: str, runs: Path) -> str:
+    """Return a name that no run has: the procedure and the time, and a number where that is taken."""
+    stem = re.sub(r"[^\w.+-]", "-", procedure)
+    base = f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
+    name, number = base, 2
+    while (runs / name).exists():
+        name, number = f"{base}-{number}", number + 1
+    return name
+
+
+def unfinished_run(name: str | None, runs: Path) -> Run:
+    """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another."""
+    if name is None:
+        waiting = [run for run in all_runs(runs) if _waits(run)]
+        if not waiting:
+            raise Refused(f"{runs}: no unfinished run there")
+        return waiting[-1]
+    found = find_run(name, runs)
+    if found.imported:
+        raise Refused(f"{found.name}: was imported from a readings file; there is nothing to go on with")
+    if found.history.state in ENDED:
+        raise Refused(f"{found.name}: nothing to do, the run is {found.history.state}")
+    return found
+
+
+def _waits(run: Run) -> bool:
+    """Whether a run was begun here, has not ended, and nobody is carrying it out."""
+    try:
+        waits = not run.imported and run.history.state not in ENDED
+    except (RecordError, ValueError):
+        return False
+    return waits and not is_being_written(run.folder)
+
+
+def carry_out(run: Run, record: Record, history: History | None, wire: WireLog | None, out: Console) -> None:
+    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed."""
+    resume = resume_point(run.plan, history) if history else None
+    if history and resume and not run.simulated:
+        resume = replace(resume, bench_s=_elapsed_s(history))
+    bench = load_bench(run.folder / BENCH)
+    where = "simulated instruments" if run.simulated else "the bench"
+    verb = "goes on" if resume else "starts"
+    out.print(
+        f"run {run.name} {verb} on {where}: {run.plan.name}, {len(run.plan.steps)} steps, "
+        f"recorded in {run.folder}"
+    )
+    out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
+    try:
+        with _assembly(run, bench, history, wire, out) as (assembly, bar):
+            Runner(
+                plan=run.plan,
+                instruments=assembly.instruments,
+                person=assembly.person,
+                clock=assembly.clock,
+                record=record,
+                range_v=bench.voltmeter_range_v,
+                observers=(*assembly.observers, bar, RunLog(run.folder, run.plan)),
+                at_resumed_time=assembly.at_resumed_time,
+                controls=ControlFile(run.folder),
+                progress=Progress.of(history) if history else Progress(),
+                watch=_watch(run, bench, history),
+                block_limits_c=(
+                    bench.unit_under_test.temperature.minimum,
+                    bench.unit_under_test.temperature.maximum,
+                ),
+                least_samples=bench.least_samples,
+                on_settling=bar.settling,
+            ).run(resume)
+    except RunAborted as why:
+        raise Refused(f"aborted{': ' if str(why) else ''}{why}; {_recorded(run)}") from None
+    except KeyboardInterrupt:
+        raise Refused(f"interrupted; {_kept(run)}") from None
+    except (BenchError, RecordError) as error:
+        raise Refused(f"{error}; {_kept(run)}") from error
+    finally:
+        record.close()
+
+
+@contextmanager
+def _assembly(
+    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console
+) -> Iterator[tuple[Assembly, ProgressBar]]:
+    """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
+    bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
+    with bar:
+        if run.simulated:
+            taken = [event.reading for event in (history.events if history else ()) if event.reading]
+            seed = run.manifest["seed"] or 0
+            model = run.folder / MODEL
+            truth = simulated_truth(bench, model if model.is_file() else None)
+            with dry_bench(bench, truth, seed, wire, plan=run.plan, taken=taken) as assembly:
+                yield assembly, bar
+        else:
+            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire), bar
+
+
+def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
+    """Compare each reading with what the model expects from those before it, recorded ones included."""
+    readings = sum(isinstance(step, Read) for step in run.plan.steps)
+    warning = EarlyWarning(
+        bench.unit_under_test.scale_factors.values,
+        ForwardModel(bench.installation_models()),
+        {name: distribution.u for name, distribution in bench.stand_distributions().items()},
+        readings=readings,
+    )
+
+    for event in history.events if history else ():
+        if event.type == EventType.REMOUNTED:
+            warning.remounted()
+        if (reading := event.reading) is not None:
+            warning.take(reading)
+    return warning.take
+
+
+def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
+    """Return the model that the simulated world obeys: effects of the bench file and of the model file."""
+    installations = bench.installation_models()
+    effects = bench.applied_effects()
+    if model is not None:
+        effects += load_model(model, installations).applied_effects()
+    return ForwardModel(installations, effects)
+
+
+def _elapsed_s(history: History) -> float:
+    """Bench time now: on a real bench the time between two programs has passed as well."""
+    if not history.events:
+        return 0.0
+    last = history.events[-1]
+    return last.bench_s + max(0.0, (utc_now() - datetime.fromisoformat(last.time)).total_seconds())
+
+
+def _recorded(run: Run) -> str:
+    done = sum(event.reading is not None for event in Run(run.folder).history.events)
+    return f"{done} readings are kept in {run.folder}"
+
+
+def _kept(run: Run) -> str:
+    return f"{_recorded(run)}; go on with 'bench resume {run.name}'"

@@ -1,0 +1,179 @@
+"""Test points: what is to be reached, what there is to choose from, the procedure that is made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.planning.goals import (
+    Goal,
+    coefficient_goals,
+    delta_g_goals,
+    modulus_goals,
+    vector_goal,
+    whole_goal,
+)
+from bench.analysis.planning.points import Points, Stand
+from bench.analysis.planning.procedure_text import VERIFICATION_DEG, Times, procedure_text
+from bench.analysis.planning.settings import fitted, settings_of
+from bench.api.errors import Refused
+from bench.api.quantities import named, quantity
+from bench.base.arrays import Floats
+from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
+from bench.files.bench.file import BenchFile
+from bench.files.shipped import find_procedure
+from bench.model import Mounting
+from bench.model.geometry import specific_force_on_platform
+from bench.procedure.check import check as check_against
+from bench.procedure.load import load_procedure
+from bench.readings.table import UNORIENTED, VERIFICATION
+from bench.run.terminal import duration
+
+_COMPARED: Final = "paper"
+
+
+@dataclass(frozen=True)
+class PaperPoints:
+    """What the paper's procedure would give: its settings, the covariance (12, 12) of the coefficients."""
+
+    settings: int
+    covariance: Floats
+
+
+def stated_goals(
+    stand: Stand,
+    bench: BenchFile,
+    u: Sequence[str],
+    delta_g: float | None,
+    modulus: float | None,
+    up_to: str | None,
+) -> list[Goal]:
+    """Return what is to be reached: u of coefficients ("Kyx=20e-6"), of Δg, of |a| up to a size; else all alike."""
+    goals = coefficient_goals(dict(_size(text) for text in u))
+    if delta_g is not None:
+        if VERIFICATION not in stand.model.installations:
+            raise Refused(
+                "--delta-g needs the installation V of the verification points; state it in the bench file"
+            )
+        angles = np.radians(np.array(VERIFICATION_DEG, dtype=np.float64))
+        turn = stand.model.installations[VERIFICATION].block_from_platform
+        force = specific_force_on_platform(angles, np.zeros((len(angles), 5))) @ turn.T
+        goals += delta_g_goals(stand.block, force, stand.noise.reading, delta_g)
+    if modulus is not None:
+        up_to_g = bench.unit_under_test.range
+        if up_to is not None:
+            up_to_g = quantity("--up-to", up_to, ACCELERATION)
+        goals += modulus_goals(stand.block, up_to_g, modulus)
+    return [*goals, whole_goal(stand.block, goals)] if goals else [vector_goal(stand.block)]
+
+
+def _size(text: str) -> tuple[str, float]:
+    """Read "Kyx=20e-6" or "Kyx=20 uV/g": a plain number is in V/g, of a bias in V."""
+    name, size = named("--u", text, "Kyx=20e-6 (a standard uncertainty, V/g)")
+    return name, quantity("--u", size, VOLTAGE if name.startswith("U0") else SCALE_FACTOR)
+
+
+def duration_s(option: str, text: str) -> float:
+    """Return a time that an option gives, s. Raises `Refused` for one that is none."""
+    seconds = quantity(option, text, DURATION, plain=False)
+    if seconds < 0:
+        raise Refused(f"{option} {text}: a time is not negative")
+    return seconds
+
+
+def stated_times(setting: str, remount: str, soak: str, warm_up: str) -> Times:
+    """Return what the steps of a procedure take. Raises `Refused` for a time that is none."""
+    times = Times(
+        duration_s("--cost-setting", setting),
+        duration_s("--cost-remount", remount),
+        duration_s("--cost-soak", soak),
+        duration_s("--warm-up", warm_up),
+    )
+    if times.turn_s <= 0:
+        raise Refused("--cost-setting: a setting takes some time; give at least 1 s")
+    return times
+
+
+def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[Mounting]:
+    """Return the mountings to choose from: without a word 1 and 2, all where the third mounting angle is stated.
+
+    Where it is taken for zero, a plan with other installations would believe them to fix the block's axes.
+    """
+    known = [label for label in bench.installation_models() if label not in {VERIFICATION, *UNORIENTED}]
+    labels = known if roll_stated(bench) else ["1", "2"]
+    if installations is not None:
+        labels = list(dict.fromkeys(label.strip() for label in installations.split(",")))
+    strange = [label for label in labels if label not in known]
+    if strange:
+        raise Refused(
+            f"--installations: {bench.name} has no installation {', '.join(strange)} for a calibration "
+            f"(it has {', '.join(known)}); state it in the bench file"
+        )
+    return [Mounting(series, label) for series in range(1, visits + 1) for label in labels]
+
+
+def roll_stated(bench: BenchFile) -> bool:
+    """Whether the bench file states the third mounting angle."""
+    return bench.stand.mounting_roll is not None and bench.stand.mounting_roll.limit > 0
+
+
+def even_angles(bench: BenchFile, count: int) -> Floats:
+    """Return the angles of an even turn that the head may come to from both sides, rad."""
+    angles = 2 * np.pi * np.arange(count) / count
+    if bench.head_limits_rad is None:
+        return angles
+    low, high = bench.head_limits_rad
+    backoff = bench.head_backoff_rad
+    allowed = (angles - backoff >= low - 1e-9) & (angles + backoff <= high + 1e-9)
+    wrapped = angles - 2 * np.pi
+    lower = (wrapped - backoff >= low - 1e-9) & (wrapped + backoff <= high + 1e-9)
+    return np.sort(np.concatenate([angles[allowed], wrapped[lower & ~allowed]]))
+
+
+def paper_points(stand: Stand) -> PaperPoints:
+    """Return the paper's procedure on this bench, to compare with."""
+    settings = fitted(settings_of(load_procedure(find_procedure(_COMPARED)).expand()))
+    return PaperPoints(len(settings), stand.covariance(settings))
+
+
+def write_procedure(
+    file: Path, points: Points, times: Times, bench: BenchFile, *, verified: bool, asked: bool
+) -> None:
+    """Write the procedure, never over another file, and check it against the bench as `bench check` does."""
+    text = procedure_text(
+        file.stem, _remarks(points, bench, asked=asked), points.visits, times, verified=verified
+    )
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except FileExistsError:
+        raise Refused(f"--out {file}: this file exists and is not overwritten; give another name") from None
+    problems = check_against(load_procedure(file).expand(), bench)
+    if problems:
+        raise Refused(f"{file}: " + "; ".join(problems))
+
+
+def _remarks(points: Points, bench: BenchFile, *, asked: bool) -> str:
+    worst = points.worst
+    least = f"{worst.name}: u = {worst.u(points.covariance):.3g} {worst.unit}"
+    if asked:
+        least += f" of {worst.asked:.3g} asked"
+    return (
+        f"Made by bench plan-points for the stand errors of {bench.name}.\n"
+        f"{points.count} settings in {len(points.visits)} mountings, about {duration(points.time_s)}.\n"
+        f"Least well reached: {least} (standard uncertainty, generalised least squares).\n"
+    )
+
+
+def worst_by_name(points: Points) -> list[Goal]:
+    """Return of goals with the same name (directions of an acceleration) the one that is furthest from reached."""
+    found: dict[str, Goal] = {}
+    for goal in points.goals:
+        known = found.get(goal.name)
+        if known is None or goal.ratio(points.covariance) > known.ratio(points.covariance):
+            found[goal.name] = goal
+    return list(found.values())

@@ -1,0 +1,52 @@
+"""Run records as the list of runs has them."""
+
+from __future__ import annotations
+
+from bench.run.folder import Run
+from bench.run.record import RecordError, is_being_written
+from bench.run.states import ENDED, RunState
+
+
+def run_summary(run: Run) -> dict[str, object]:
+    """Return a row of the list; a run that cannot be read is one as well, with the reason."""
+    try:
+        state, to_go_on = _state_and_next(run)
+        count = _count(run)
+    except (RecordError, ValueError, TypeError, KeyError) as reason:
+        return {
+            "name": run.name,
+            "created": "",
+            "instruments": "-",
+            "state": f"damaged: {reason}",
+            "readings": 0,
+            "to_go_on": "",
+        }
+    return {
+        "name": run.name,
+        "created": run.created,
+        "instruments": "simulated" if run.simulated else ("-" if state == "imported" else "real"),
+        "state": state,
+        "readings": count,
+        "to_go_on": to_go_on,
+    }
+
+
+def _state_and_next(run: Run) -> tuple[str, str]:
+    """Return the state of a run in words, and the command that goes on with it."""
+    if run.history.problems:
+        return "damaged", f"bench show {run.name} --verify"
+    if run.imported:
+        return "imported", ""
+    state = run.history.state
+    if state in ENDED:
+        return state.value, ""
+    if is_being_written(run.folder):
+        return state.value, ""
+    alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
+    return alive.get(state, state.value), f"bench resume {run.name}"
+
+
+def _count(run: Run) -> int:
+    if run.imported:
+        return int(run.manifest["readings"])
+    return len({e.data["step"] for e in run.history.events if e.type == "step_done" and "reading" in e.data})

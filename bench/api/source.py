@@ -1,0 +1,227 @@
+"""What an analysis is made from: a run, a readings file or a table, with the bench and the model of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.api.errors import Refused
+from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
+from bench.files.model import ModelFile, load_model
+from bench.files.shipped import find_bench
+from bench.model import ForwardModel
+from bench.readings.csv import format_csv, read_csv, read_frame
+from bench.readings.table import Readings
+from bench.run.folder import BENCH, IMPORTED, Run, find_run
+from bench.run.record import MANIFEST, sha256
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    import pandas as pd
+
+    Given: TypeAlias = str | Readings | pd.DataFrame
+    """Readings to be evaluated: name or path of a run, path of a readings file, or a table in memory."""
+
+DEFAULT_BENCH = "paper-stand"
+NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)"
+LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
+
+
+@dataclass(frozen=True)
+class Request:
+    """What all analyses share: readings (runs by name live in `runs`), and what goes in place of what is usual.
+
+    `bench` is a bench file by path or name, or one at hand; `out` a folder for what is derived from the readings.
+    """
+
+    sources: Sequence[Given]
+    runs: Path
+    bench: str | BenchFile | None = None
+    model: Path | None = None
+    g_m_s2: float | None = None
+    out: Path | None = None
+    skip_bad_rows: bool = False
+
+
+@dataclass(frozen=True)
+class Source:
+    """One run, readings file or table, read, with its bench. `run` is None for all but a run.
+
+    `bench_taken` says which bench file it is, and why that one.
+    """
+
+    name: str
+    readings: Readings
+    bench: BenchFile
+    bench_sha256: str
+    bench_taken: str
+    model: ForwardModel
+    g_m_s2: float
+    run: Run | None
+    request: Request
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the readings come from simulated instruments (a readings file does not say)."""
+        return self.run is not None and self.run.simulated
+
+    @property
+    def block_name(self) -> str:
+        """Type and serial number of the block; empty for a readings file with no bench file of its own."""
+        if self.run is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
+            return ""
+        unit = self.bench.unit_under_test
+        return f"{unit.type} {unit.serial}".strip()
+
+    @property
+    def made_at(self) -> str | None:
+        """Civil time at which the run was begun (ISO 8601); None where nobody recorded it."""
+        return self.run.created or None if self.run is not None else None
+
+    @property
+    def stand_u(self) -> dict[str, float]:
+        """Standard uncertainties of the stand's errors by name, rad (V for the voltmeter's)."""
+        return {name: d.u for name, d in self.bench.stand_distributions().items()}
+
+    def output(self, command: str, suffix: str) -> Path:
+        """Return the file that a command writes for this source.
+
+        In the run's folder, in `--out`, or in a folder named after the command beside the readings file.
+        """
+        return _output(self.name, self.run, self.request.out, command, suffix)
+
+
+def load_sources(request: Request) -> list[Source]:
+    """Read all sources. Raises the first mistake found, as the readers do."""
+    check_gravity(request.g_m_s2)
+    check_places(request)
+    return [_load(given, request) for given in request.sources]
+
+
+def check_places(request: Request) -> None:
+    """Refuse sources of which one would write over what another wrote. Raises `Refused`."""
+    if request.out is not None and request.out.exists() and not request.out.is_dir():
+        raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
+    names = [given for given in request.sources if isinstance(given, str)]
+    places = [_output(name, _run_of(name, request.runs), request.out, "", "") for name in names]
+    for place in places:
+        if places.count(place) > 1:
+            raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
+
+
+def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:
+    if run is not None:
+        return out / f"{run.name}-{command}{suffix}" if out else run.folder / f"{command}{suffix}"
+    return (out or Path(name).parent / command) / f"{Path(name).stem}{suffix}"
+
+
+def data_sha256(readings: Readings) -> str:
+    """Return the SHA-256 by which a model file knows readings: that of the readings file they make."""
+    return sha256(format_csv(readings).encode())
+
+
+def bench_path(given: str | None) -> Path:
+    """Return the bench file asked for (in BENCH_FILE, if not said), or the shipped one that stands in for it."""
+    return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
+
+
+def _load(given: Given, request: Request) -> Source:
+    run = _run_of(given, request.runs) if isinstance(given, str) else None
+    if run is not None:
+        run.trusted_history()
+    taken = _bench_of(run, request.bench)
+    bench = taken.file
+    notes: tuple[str, ...] = ()
+    if run is not None and request.bench is not None:
+        notes = (f"evaluated with {taken.where} in place of the bench file that the run recorded",)
+    readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
+    gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
+    if gravity is None:
+        raise Refused(f"{taken.where}: {NO_GRAVITY}")
+    model = ForwardModel(bench.installation_models())
+    if request.model is not None:
+        file = load_model(request.model, model.installations)
+        model, of_model = _of_model_file(file, readings, model)
+        notes += of_model
+    readings = replace(readings, notes=(*notes, *readings.notes))
+    name = given if isinstance(given, str) else readings.source
+    return Source(name, readings, bench, sha256(taken.content), taken.words, model, gravity, run, request)
+
+
+@dataclass(frozen=True)
+class BenchTaken:
+    """A bench file, where it is, what stands in it, and in words which one it is and why that one."""
+
+    file: BenchFile
+    where: str
+    content: bytes
+    words: str
+
+
+def find_bench_file(given: str | BenchFile | None) -> BenchTaken:
+    """Return the bench file at hand or asked for, else that of BENCH_FILE, else the shipped one."""
+    if isinstance(given, BenchFile):
+        return BenchTaken(given, given.name, given.model_dump_json().encode(), f"{given.name}, as given")
+    path = bench_path(given)
+    bench = load_bench(path)
+    if given:
+        why = "as asked for"
+    else:
+        why = "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else "the shipped one, as none was named"
+    return BenchTaken(bench, str(path), path.read_bytes(), f"{bench.name}, {why}")
+
+
+def _bench_of(run: Run | None, given: str | BenchFile | None) -> BenchTaken:
+    """Return the bench file that a run recorded, where no other is asked for."""
+    if run is None or given is not None:
+        return find_bench_file(given)
+    path = run.folder / BENCH
+    bench = load_recorded_bench(path)
+    return BenchTaken(bench, str(path), path.read_bytes(), f"{bench.name}, as the run recorded it")
+
+
+def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_rows: bool) -> Readings:
+    if isinstance(given, Readings):
+        return given
+    installations = bench.installation_models()
+    if not isinstance(given, str):
+        return read_frame(given, installations, skip_bad_rows=skip_bad_rows)
+    if run is None:
+        return read_csv(Path(given), installations, skip_bad_rows=skip_bad_rows)
+    if run.imported:
+        return read_csv(run.folder / IMPORTED, installations, skip_bad_rows=skip_bad_rows)
+    return run.readings()
+
+
+def _of_model_file(
+    file: ModelFile, readings: Readings, plain: ForwardModel
+) -> tuple[ForwardModel, tuple[str, ...]]:
+    """Return the model of a file for these readings, with a note where they are what it was found in.
+
+    Its values have then seen the readings: as priors they would count them twice.
+    """
+    model = replace(plain, effects=file.applied_effects(), name=file.name)
+    if data_sha256(readings) not in (file.data_sha256 or "").split():
+        return model, ()
+    note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
+    return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note,)
+
+
+def _run_of(name: str, runs: Path) -> Run | None:
+    """Tell a run from a readings file: a file is a file, everything else must be a run."""
+    path = Path(name)
+    if path.is_file() and path.name != MANIFEST:
+        return None
+    if path.suffix.lower() in {".csv", ".txt"} and not (runs / name).is_dir():
+        raise Refused(f"{name}: no such readings file; check the name")
+    return find_run(name, runs)
+
+
+def check_gravity(g_m_s2: float | None) -> None:
+    """Refuse a value of local gravity that is none on Earth. Raises `Refused`."""
+    if g_m_s2 is not None and not LEAST_GRAVITY <= g_m_s2 <= MOST_GRAVITY:
+        raise Refused(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")

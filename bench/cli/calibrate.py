@@ -1,0 +1,75 @@
+"""calibrate: coefficients with uncertainty from runs or readings files."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bench.cli import printing
+from bench.cli.options import (
+    ESTIMATORS_TOLD,
+    RUNS,
+    BenchOption,
+    GravityOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    RunsOption,
+    SkipOption,
+    Sources,
+    WithEstimators,
+    app,
+)
+
+
+@app.command(
+    cls=WithEstimators,
+    epilog="Example: bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json",
+)
+def calibrate(
+    sources: Sources,
+    estimator: Annotated[str, typer.Option(help=ESTIMATORS_TOLD)] = "gls",
+    nominal_angles: Annotated[
+        bool, typer.Option("--nominal-angles", help="Target angles in place of those read back.")
+    ] = False,
+    join_free: Annotated[
+        bool,
+        typer.Option("--join-free/--no-join-free", help="Free positions (F) join the fit by |a| = 1 g."),
+    ] = True,
+    join_verification: Annotated[
+        bool,
+        typer.Option("--join-verification", help="So do verification points; they check nothing then."),
+    ] = False,
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    g: GravityOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Lack of fit (p < 0.01) is not accepted.")] = False,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Coefficients with uncertainty from runs or readings files."""
+    from bench.api.calibration import calibration_of
+    from bench.api.source import Request, load_sources
+
+    printing.check_target(json)
+    results = [
+        calibration_of(
+            source,
+            estimator,
+            nominal_angles=nominal_angles,
+            join_free=join_free,
+            join_verification=join_verification,
+        )
+        for source in load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows))
+    ]
+    for result in results:
+        file = printing.write_result(result.source, "calibrate", result.to_dict())
+        if json == "-":
+            printing.notes_aside(result.notes)
+        else:
+            printing.calibration(result, file)
+    printing.write_json([result.to_dict() for result in results], json)
+    return 1 if strict and not all(result.accepted for result in results) else 0

@@ -1,0 +1,47 @@
+"""report: the page of a run."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bench.cli import printing
+from bench.cli.options import (
+    RUNS,
+    BenchOption,
+    GravityOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    RunsOption,
+    SkipOption,
+    app,
+)
+
+
+@app.command(epilog="Example: bench report unit-17")
+def report(
+    source: Annotated[str, typer.Argument(help="Run (name or path) or readings file.")],
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    g: GravityOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Write the report of a run: one HTML page."""
+    from bench.api.calibration import calibration_of
+    from bench.api.source import Request, load_sources
+
+    printing.check_target(json)
+    (loaded,) = load_sources(Request([source], runs, bench, model, g, out, skip_bad_rows))
+    result = calibration_of(loaded)
+    on = printing.console(json=json)
+    verdict = printing.report(result, on)
+    if verdict is not None:
+        on.print(verdict.verdict(), style="bold")
+    page = str(loaded.output("report", ".html"))
+    printing.write_json([{"report": page, "verification": verdict and verdict.to_dict()}], json)
+    return 0 if verdict is None or verdict.passed else 1

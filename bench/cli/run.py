@@ -1,0 +1,135 @@
+"""run: a procedure carried out on a bench or dry, recorded, then calibrated, verified and reported."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.api.errors import Refused
+from bench.cli import printing
+from bench.cli.options import (
+    RUNS,
+    BenchOption,
+    JsonOption,
+    ModelOption,
+    ProcedureArgument,
+    RunsOption,
+    WireLogOption,
+    app,
+)
+
+if TYPE_CHECKING:
+    from bench.api.source import Source
+    from bench.run.folder import Run
+
+
+@app.command(epilog="Example: bench run calibration --bench my-bench.yaml --name unit-17")
+def run(
+    procedure: ProcedureArgument,
+    bench: BenchOption = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Simulated instruments, virtual clock.")] = False,
+    seed: Annotated[int, typer.Option(help="Random numbers of a dry run.", min=0)] = 1,
+    name: Annotated[str | None, typer.Option(help="Name of the run (default: procedure and time).")] = None,
+    operator: Annotated[str, typer.Option(help="Who stands at the bench, for the record.")] = "",
+    model: ModelOption = None,
+    wire_log: WireLogOption = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Then diagnose, and run at once what would tell more.")
+    ] = False,
+    json: JsonOption = None,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
+    printing.check_target(json)
+    if follow and json is not None:
+        raise Refused(
+            "--follow makes two runs, and --json is the result of one; the folders of both hold theirs"
+        )
+    if not (bench or os.environ.get("BENCH_FILE") or dry_run):
+        raise Refused(
+            "a run on real instruments needs a bench file: say --bench FILE (or set BENCH_FILE), "
+            "or try it first with --dry-run"
+        )
+    if model is not None and not dry_run:
+        raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
+
+    def carried_out(procedure: str, name: str | None, seed: int) -> tuple[Run, int]:
+        from bench.api.execution import carry_out, new_run
+        from bench.run.folder import Run
+        from bench.run.signals import Interrupts
+        from drivers.wire.log import logged_wire
+
+        new = new_run(
+            procedure, bench, runs, dry_run=dry_run, seed=seed, name=name, operator=operator, model=model
+        )
+        with logged_wire(wire_log) as wire, Interrupts() as interrupts:
+            record = new.record(interrupts.shield)
+            carry_out(Run(new.folder), record, None, wire, printing.console(json=json))
+        done = Run(new.folder)
+        return done, conclude(done, json)
+
+    done, status = carried_out(procedure, name, seed)
+    if not follow:
+        return status
+    from bench.cli.following import follow as measure_further
+
+    # a dry run draws another stand for the mountings to come
+    return max(
+        status, measure_further(done, lambda further, called: carried_out(further, called, seed + 1)[1])
+    )
+
+
+def conclude(run: Run, target: str | None = None) -> int:
+    """Calibrate, verify and report a finished run; 1 when the verification failed.
+
+    `target` is where the whole result goes as JSON: null stands for a calibration or verdict that is not.
+
+    A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
+    """
+    from bench.api.source import Request, load_sources
+
+    (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
+    try:
+        return _draw(run, source, target)
+    except OSError as error:
+        raise Refused(
+            f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
+            f"then 'bench report {run.name}' makes it again"
+        ) from error
+
+
+def _draw(run: Run, source: Source, target: str | None) -> int:
+    """Draw the results from a finished run and write them into its folder. Raises `OSError`."""
+    from bench.analysis.calibration import CalibrationError
+    from bench.api.calibration import calibration_of
+    from bench.base.whole import to_text, write_whole
+
+    out = printing.console(json=target)
+    drawn: dict[str, Any] = {
+        "run": run.name,
+        "folder": str(run.folder),
+        "calibration": None,
+        "verification": None,
+    }
+    try:
+        result = calibration_of(source)
+    except CalibrationError as reason:
+        out.print(f"the run is finished; no calibration from it: {reason}")
+        printing.write_json([drawn], target)
+        return 0
+    file = source.output("calibrate", ".json")
+    printing.calibration(result, file, out)
+    drawn["calibration"] = result.to_dict()
+    write_whole(file, to_text(drawn["calibration"]))
+    verdict = printing.report(result, out)
+    if verdict is None:
+        out.print("no verification points in this procedure: no verdict")
+    else:
+        file = source.output("verify", ".json")
+        drawn["verification"] = verdict.to_dict()
+        write_whole(file, to_text(drawn["verification"]))
+        printing.verification(verdict, file, out)
+    printing.write_json([drawn], target)
+    return 0 if verdict is None or verdict.passed else 1

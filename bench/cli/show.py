@@ -1,0 +1,79 @@
+"""show: what a run holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.cli import printing
+from bench.cli.options import RUNS, JsonOption, RunArgument, RunsOption, app
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bench.run.folder import Run
+
+
+@app.command(epilog="Example: bench show unit-17 --verify")
+def show(
+    run: RunArgument,
+    verify: Annotated[bool, typer.Option("--verify", help="Check the record for changed lines.")] = False,
+    runs: RunsOption = RUNS,
+    json: JsonOption = None,
+) -> int:
+    """Show what a run holds: inputs, events, readings."""
+    from bench.api.records import run_summary
+    from bench.run.folder import find_run
+
+    found = find_run(run, runs)
+    problems = list(found.history.problems)
+    summary = run_summary(found)
+    printing.write_json([{**summary, "manifest": found.manifest, "problems": problems}], json)
+    if json == "-":
+        return 1 if problems else 0
+    out = printing.console()
+    for key, value in {**summary, **found.manifest}.items():
+        if value not in ("", None):
+            out.print(f"{key.replace('_', ' ')}: {_text(value)}")
+    if verify:
+        events = len(found.history.events)
+        out.print(
+            f"record: {events} events, " + ("; ".join(problems) if problems else "chain of hashes whole")
+        )
+        if found.history.torn:
+            out.print("record: the last line is half written; 'bench resume' drops it")
+    else:
+        _print_events(found, out)
+    return 1 if problems else 0
+
+
+def _text(value: object) -> str:
+    """Return a value of the manifest as text; what it holds by name as a list."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {part}" for name, part in value.items())
+    return str(value)
+
+
+def _print_events(run: Run, out: Console) -> None:
+    from bench.run.resume import resume_point
+    from bench.run.terminal import duration
+
+    if run.imported:
+        return
+    steps = run.plan.steps
+    for event in run.history.events:
+        if event.type == "step_started":
+            continue
+        text = event.type
+        if "step" in event.data and event.type == "step_done":
+            text = steps[int(event.data["step"])].describe()
+        reading = event.data.get("reading")
+        if reading:
+            text += "  " + "  ".join(f"{value:+.6f} {reading['unit']}" for value in reading["mean"])
+        if "error" in event.data:
+            text += f": {event.data['error']}"
+        out.print(f"{event.number:5d}  {duration(event.bench_s):>11}  {text}")
+    point = resume_point(run.plan, run.history)
+    if point.step < len(steps):
+        out.print(f"next: step {point.step + 1}, {steps[point.step].describe()}")

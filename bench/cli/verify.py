@@ -1,0 +1,62 @@
+"""verify: Δg at the verification points against the limit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli import printing
+from bench.cli.options import (
+    RUNS,
+    BenchOption,
+    GravityOption,
+    JsonOption,
+    LimitOption,
+    ModelOption,
+    OutOption,
+    RuleOption,
+    RunsOption,
+    SkipOption,
+    Sources,
+    app,
+)
+
+
+@app.command(epilog="Example: bench verify unit-17 --coefficients last-year.json")
+def verify(
+    sources: Sources,
+    coefficients: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Result of 'calibrate --json' of another day.")
+    ] = None,
+    limit: LimitOption = None,
+    rule: RuleOption = None,
+    bench: BenchOption = None,
+    model: ModelOption = None,
+    g: GravityOption = None,
+    json: JsonOption = None,
+    out: OutOption = None,
+    skip_bad_rows: SkipOption = False,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Δg at the verification points against the limit; exit status 1 when one is outside."""
+    from bench.analysis.calibration.verification import rule_name
+    from bench.api.calibration import check_limit, verification_of
+    from bench.api.source import Request, load_sources
+
+    printing.check_target(json)
+    by_rule = rule_name(rule or "simple")
+    check_limit(limit)
+    results = []
+    for source in load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows)):
+        results.append(verification_of(source, coefficients, limit, by_rule))
+        printing.notes_aside(results[-1].warnings)
+    for result in results:
+        file = printing.write_result(result.source, "verify", result.to_dict())
+        if json == "-":
+            printing.notes_aside(result.notes)
+        else:
+            printing.verification(result, file)
+    printing.write_json([result.to_dict() for result in results], json)
+    return 0 if all(result.passed for result in results) else 1
