@@ -4,7 +4,7 @@ VENV := .venv
 STAMP := $(VENV)/.installed
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 
-.PHONY: dry-run test test-quick coverage mutation lint hooks blind-trial clean
+.PHONY: dry-run test test-quick coverage mutation lint hooks docs blind-trial clean
 
 dry-run: $(STAMP)
 	$(VENV)/bin/bench run paper --dry-run
@@ -20,8 +20,9 @@ coverage: $(STAMP)
 	$(PYTEST) --cov --cov-report=term:skip-covered
 
 # A few minutes; `make mutation MUTANTS=2000` takes hours.
-MUTANTS ?= 60
+MUTANTS ?= 30
 mutation: $(STAMP)
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[mutation]'
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.mutation --mutants $(MUTANTS)
 
 lint: $(STAMP)
@@ -39,9 +40,19 @@ $(STAMP): pyproject.toml constraints.txt
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[test,dev]'
 	touch $(STAMP)
 
-# About half an hour on two cores; `make blind-trial TRIAL=--short` takes a few minutes.
+# A site of the pages under docs, with the references made from the code; a broken link is an error.
+docs: $(VENV)/.documented
+	$(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+
+$(VENV)/.documented: $(STAMP)
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs]'
+	touch $@
+
+# About half an hour on two cores, after which docs/diagnosis.md has its tables; TRIAL=--short takes a few minutes.
+TRIAL ?= --page --seed 7
 blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage .coverage.*
+	rm -rf $(VENV) docs/_build docs/reference .mypy_cache .ruff_cache .pytest_cache .hypothesis \
+		.import_linter_cache .coverage .coverage.* mutants

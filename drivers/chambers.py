@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from drivers.interfaces import BadReading, InstrumentRefused, LimitExceeded
+from drivers.interfaces import BadReading, Identity, InstrumentRefused, LimitExceeded
+from drivers.wire.proving import ProvedSession
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
 
 NUMBER: Final = r"[+-]?\d{1,5}(?:\.\d{1,6})?"
 """A temperature as controllers print it."""
@@ -81,3 +87,111 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
             f"its set point is {shown_c:g} °C, not the {target_c:g} °C demanded",
             "check that nobody else controls the chamber, and that it was not switched off",
         )
+
+
+class ControlledChamber(ABC):
+    """The base of the chambers with a controller, a `ThermalChamber`; `temperature` is that of its air.
+
+    A make says how its controller is proved, what is demanded and read back, and how it is stopped. `identity`
+    is the pattern of its name; `write_gap_s` how long it wants to be left alone after a command without reply.
+    """
+
+    asks_person = False
+    resolution_c: float = 0.1
+    """To what the controller rounds a set point."""
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        limits: ChamberLimits,
+        *,
+        identity: str,
+        write_gap_s: float = 0.0,
+    ) -> None:
+        self.name = name
+        self._session = ProvedSession(session, clock, self._prove, write_gap_s=write_gap_s)
+        self._limits = limits
+        self._identity_pattern = identity
+        self._identity = Identity("", "")
+        self._target_c: float | None = None
+
+    def open(self) -> Identity:
+        """Connect and prove the identity; the chamber goes on as it is.
+
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        """
+        self._session.open()
+        return self._identity
+
+    def close(self) -> None:
+        """Let the chamber go; it holds its temperature. Never raises, may be called twice."""
+        self._session.close()
+
+    def make_safe(self) -> str:
+        """Stop conditioning, as at the end of a run; nothing is left for a person to do.
+
+        Raises as `set_temperature`.
+        """
+        self._target_c = None
+        self._stop()
+        self._target_c = None
+        return ""
+
+    def set_temperature(self, target_c: float, key: str) -> None:
+        """Demand a temperature, read it back, and have it conditioned.
+
+        Raises `LimitExceeded` for the limits of the bench file before anything is sent, and for those of the
+        controller before anything is set; `InstrumentRefused` for a chamber that is not ready or a demand not
+        taken; `InstrumentLost`, `BadReading`.
+        """
+        self._limits.check(self.name, target_c)
+        self._refuse_unready(target_c)
+        self._target_c = None
+        self._demand(target_c)
+        self._refuse_other_set_point(self._set_point_c(), target_c)
+        self._start()
+        self._target_c = target_c
+
+    def temperature(self, key: str, *, settling: bool = False) -> float:
+        """Return the temperature of the air, °C.
+
+        Raises `InstrumentRefused` for what the controller reports, for a state or set point that somebody
+        changed, for air out of band; `BadReading`, `InstrumentLost`.
+        """
+        air_c = self._air_c(self._target_c)
+        return self._limits.in_band(self.name, air_c, None if settling else self._target_c)
+
+    def _refuse_other_set_point(self, shown_c: float, target_c: float) -> None:
+        refuse_other_set_point(self.name, shown_c, target_c, self.resolution_c)
+
+    # --- what a make says ---------------------------------------------------------------------------
+
+    @abstractmethod
+    def _prove(self) -> None:
+        """Identify the controller and set `_identity`. Raises `InstrumentRefused`."""
+
+    @abstractmethod
+    def _refuse_unready(self, target_c: float) -> None:
+        """Raise what keeps the chamber from taking a demand: alarms, programs, limits of its own."""
+
+    @abstractmethod
+    def _demand(self, target_c: float) -> None:
+        """Send the set point."""
+
+    @abstractmethod
+    def _set_point_c(self) -> float:
+        """Return the set point read back, °C."""
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Have the set point conditioned, and prove it."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """Have nothing conditioned any more, and prove it."""
+
+    @abstractmethod
+    def _air_c(self, target_c: float | None) -> float:
+        """Return the temperature of the air, °C; with a demand prove first that it still stands."""

@@ -7,8 +7,9 @@ Angles are radians, voltages volts, temperatures degrees Celsius, times seconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from types import ModuleType
 from typing import Literal, NotRequired, Protocol, TypedDict, runtime_checkable
 
 Channel = Literal["x", "y", "z"]
@@ -209,6 +210,44 @@ class VoltmeterSettings:
     range_v: float
     nplc: float
     samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class VoltmeterLimits:
+    """What a model can do: ranges in volts, integration in power-line cycles, samples in one reading.
+
+    Its facts state them once: what a bench file and a procedure may ask is held against the same ones.
+    """
+
+    ranges_v: tuple[float, ...]
+    nplc: tuple[float, ...]
+    most_samples: int
+    least_samples: int = 1
+
+    @classmethod
+    def of(cls, facts: ModuleType) -> VoltmeterLimits:
+        """Return the limits of a reading of one channel; the `facts` are those of a voltmeter."""
+        return cls(facts.RANGES_V, facts.NPLC, facts.MEMORY_READINGS, facts.LEAST_SAMPLES)
+
+    def of_channels(self, count: int) -> VoltmeterLimits:
+        """Return the limits of a reading of so many channels, whose samples share the memory."""
+        return replace(self, most_samples=self.most_samples // count)
+
+    def transgressions(self, settings: VoltmeterSettings) -> list[str]:
+        """Return what of the settings the model cannot do, one phrase for each."""
+        wrong = []
+        if settings.range_v not in self.ranges_v:
+            wrong.append(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)")
+        if settings.nplc not in self.nplc:
+            wrong.append(f"an integration of {settings.nplc:g} NPLC (it has {_listed(self.nplc)})")
+        if not self.least_samples <= settings.samples <= self.most_samples:
+            held = f"{self.least_samples} to {self.most_samples}"
+            wrong.append(f"{settings.samples} samples (its memory holds {held})")
+        return wrong
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
 
 
 @runtime_checkable

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.angles import format_dms
-from drivers.interfaces import Direction, HeadPosition, InstrumentRefused, LimitExceeded
+from drivers.interfaces import Direction, HeadPosition, Identity, InstrumentRefused, LimitExceeded
+from drivers.wire.proving import ProvedSession
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
 
 _ROUNDING_RAD: Final = 1e-9
 """Keeps an angle exactly at a limit from being refused for the last bit of a float."""
@@ -204,3 +207,81 @@ class Mover:
             cause,
             "check that nothing blocks the head, its load, its scale and its speed, then take this step again",
         )
+
+
+class MotorisedHead(ABC):
+    """The base of the heads with a controller, a `DividingHead` whose `Axis` the make gives.
+
+    A make says how its controller is proved and what the verbs of an axis are; `write_gap_s` is how long it
+    wants to be left alone after a command without reply. How its lines end is the session's.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        travel: Travel,
+        *,
+        identity: Identity,
+        write_gap_s: float = 0.0,
+    ) -> None:
+        self.name = name
+        self._session = ProvedSession(session, clock, self._prove, write_gap_s=write_gap_s)
+        self._clock = clock
+        self._travel = travel
+        self._mover = Mover(name, self, travel, clock)
+        self._identity = identity
+
+    def open(self) -> Identity:
+        """Connect and prove the controller; nothing moves.
+
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        """
+        self._session.open()
+        return self._identity
+
+    def close(self) -> None:
+        """Stop and let the head go. Never raises, may be called twice."""
+        if self._session.opened:
+            with contextlib.suppress(Exception):
+                self.stop()
+                self._release()
+        self._session.close()
+
+    def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
+        """Turn to `target_rad` from the demanded side; return the angle read back.
+
+        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` for what the controller reports or
+        refuses or a head that does not arrive, `InstrumentLost`, `BadReading`. The motion is stopped then.
+        """
+        return self._mover.move(target_rad, direction)
+
+    # --- what a make says ---------------------------------------------------------------------------
+
+    @abstractmethod
+    def _prove(self) -> None:
+        """Identify the controller, prove its settings and set `_identity`. Raises `InstrumentRefused`."""
+
+    def _release(self) -> None:  # noqa: B027 - most need nothing more
+        """Leave the head safe, which was stopped just now."""
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Make the axis ready to move: powered, homed, in its positioning mode."""
+
+    @abstractmethod
+    def position_rad(self) -> float:
+        """Return the angle read back, rad."""
+
+    @abstractmethod
+    def start(self, target_rad: float) -> None:
+        """Begin to move to an angle."""
+
+    @abstractmethod
+    def moving(self) -> bool:
+        """Whether the axis moves. Raises `InstrumentRefused` for what keeps it from arriving."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop the motion where it is."""

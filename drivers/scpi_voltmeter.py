@@ -1,7 +1,8 @@
 """What the SCPI voltmeters have in common: identify, set and prove, start, fetch into strict readings.
 
-A driver of a model says which identities it takes, which settings it sends and how they read back; all
-that concerns the wire, the error queue, a lost connection or a lost power supply stands here once.
+A driver of a model says which identities it takes, which settings it sends and how they read back, and where it
+speaks otherwise than the 34401A's line its words for triggering, readings, errors and remote control; all that
+concerns the wire, a lost connection or a lost power supply stands here once.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
+from drivers.agilent_34401a import facts as line
 from drivers.interfaces import (
     BadReading,
     Channel,
@@ -21,6 +23,7 @@ from drivers.interfaces import (
     InstrumentLost,
     InstrumentRefused,
     LimitExceeded,
+    VoltmeterLimits,
     VoltmeterSettings,
 )
 
@@ -30,17 +33,8 @@ if TYPE_CHECKING:
 
 Interface = Literal["lan", "gpib", "rs232"]
 
-OVERLOAD_V: Final = 9.9e37
-
-_READING: Final = r"[+-]\d\.\d{8}E[+-]\d\d"
-READING_CHARACTERS: Final = 16
-"""The 15 of a reading and its separator."""
-
 _NUMBER: Final = r"[+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?"
-_ERROR: Final = r'([+-]?\d+),"([^"]*)"'
 IDENTITY: Final = r"([^,]+),([^,]+),([^,]*),([^,]*)"
-_MAKER: Final = r"HEWLETT-PACKARD|HP|Agilent( Technologies)?|Keysight( Technologies)?"
-_ERROR_QUEUE: Final = 20
 _NONE: Final = -1
 """The number of no connection."""
 
@@ -49,9 +43,6 @@ _POWER_ON: Final = 128
 _ERRORS: Final = 4 | 8 | 16 | 32  # query, device, execution, command
 
 _PATIENCE: Final = 1.5
-_SELF_TEST_S: Final = 30.0
-"""The longest self-test of these meters takes some 15 s."""
-_STAYS_REMOTE_S: Final = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,35 +57,6 @@ class ProvenSetting:
     wanted: str | float | tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What a model can do: ranges in volts, integration in power-line cycles, samples in one reading.
-
-    A driver's module states them once: what a bench file and a procedure may ask is held against the same ones.
-    """
-
-    ranges_v: tuple[float, ...]
-    nplc: tuple[float, ...]
-    most_samples: int
-    least_samples: int = 1
-
-    def of_channels(self, count: int) -> Limits:
-        """Return the limits of a reading of so many channels, whose samples share the memory."""
-        return replace(self, most_samples=self.most_samples // count)
-
-    def transgressions(self, settings: VoltmeterSettings) -> list[str]:
-        """Return what of the settings the model cannot do, one phrase for each."""
-        wrong = []
-        if settings.range_v not in self.ranges_v:
-            wrong.append(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)")
-        if settings.nplc not in self.nplc:
-            wrong.append(f"an integration of {settings.nplc:g} NPLC (it has {_listed(self.nplc)})")
-        if not self.least_samples <= settings.samples <= self.most_samples:
-            held = f"{self.least_samples} to {self.most_samples}"
-            wrong.append(f"{settings.samples} samples (its memory holds {held})")
-        return wrong
-
-
 class ScpiVoltmeter(ABC):
     """The base of the SCPI voltmeters, a `Voltmeter` in all but the model's own commands.
 
@@ -102,6 +64,34 @@ class ScpiVoltmeter(ABC):
     remote. `clock` tells how long an RS-232 meter was left alone: after some ten minutes it may have
     dropped back to local. `line_hz` is the mains frequency, which sets how long a reading takes.
     """
+
+    # What a make states of itself; what it leaves out is as of a 34401A.
+    makers: str = line.MAKERS
+    """Pattern of its makers' names."""
+    models: tuple[str, ...] = ()
+    """The names in the identities that are taken."""
+    called: str = ""
+    """What it is, for whoever has connected another: "a 34401A"."""
+    hint: str = ""
+    """What may have to be set for it to be found, where there is such a thing."""
+    start_command: str = "INIT"
+    fetch_query: str = "FETC?"
+    reading: str = line.READING
+    """Pattern of one reading as it is sent, with an example and its length, that of its separator too."""
+    reading_example: str = line.READING_EXAMPLE
+    reading_characters: int = line.READING_CHARACTERS
+    overload_v: float = line.OVERLOAD_V
+    sample_overhead_s: float = line.SAMPLE_OVERHEAD_S
+    """What a sample takes beside its two integrations."""
+    error_query: str = "SYST:ERR?"
+    error_reply: str = r'([+-]?\d+),"([^"]*)"'
+    """Pattern of an entry of the error queue: its number first, 0 for none."""
+    errors_kept: int = line.ERRORS_KEPT
+    remote_command: str = "SYST:REM"
+    local_command: str = "SYST:LOC"
+    """What an RS-232 meter is told; empty where it has no such command."""
+    self_test_s: float = line.SELF_TEST_S
+    stays_remote_s: float = line.STAYS_REMOTE_S
 
     def __init__(
         self,
@@ -129,20 +119,30 @@ class ScpiVoltmeter(ABC):
 
     @property
     @abstractmethod
-    def limits(self) -> Limits:
+    def limits(self) -> VoltmeterLimits:
         """What the model can do."""
-
-    @abstractmethod
-    def _accept(self, identity: Identity, reply: str) -> None:
-        """Raise `InstrumentRefused` unless the identity, as in the reply, is of this driver's models."""
 
     @abstractmethod
     def _setup(self, settings: VoltmeterSettings) -> Sequence[ProvenSetting]:
         """Return what is sent to take such readings, in order."""
 
-    @abstractmethod
-    def _reading_time_s(self, settings: VoltmeterSettings, character_time_s: float) -> float:
-        """Return the time from INIT until the last character of FETC? has come, s."""
+    def _accept(self, identity: Identity, reply: str) -> None:
+        """Raise `InstrumentRefused` unless the identity, as in the reply, is of this driver's models."""
+        if identity.model in self.models and re.fullmatch(self.makers, identity.maker, re.IGNORECASE):
+            return
+        raise InstrumentRefused(
+            self.name,
+            f"{self._session.resource} is {reply!r}, not {self.called}",
+            f"check the address in the bench file{f' ({self.hint})' if self.hint else ''}",
+        )
+
+    def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
+        """Return the time from the start until the last character of the readings has come, s.
+
+        Autozero takes a second integration for each sample; `character_time_s` is that of a slow line.
+        """
+        sample_s = 2.0 * settings.nplc / self._line_hz + self.sample_overhead_s
+        return settings.samples * len(self.channels) * (sample_s + self.reading_characters * character_time_s)
 
     # --- the verbs of a voltmeter -------------------------------------------------------------------
 
@@ -201,11 +201,11 @@ class ScpiVoltmeter(ABC):
         if self._connection is None or self._connection != self._session.connection:
             self.open()
             self.configure(self._settings)
-        elif self._clock.now_s() - self._spoke_s > _STAYS_REMOTE_S:
+        elif self._clock.now_s() - self._spoke_s > self.stays_remote_s:
             self._be_remote()
         if self._started:
             self._discard()
-        self._session.write("INIT")
+        self._session.write(self.start_command)
         self._started = True
 
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
@@ -241,7 +241,7 @@ class ScpiVoltmeter(ABC):
         self._started = False
         reply = self._session.query(
             "*TST?",
-            timeout_s=self._session.timeout_s + _SELF_TEST_S,
+            timeout_s=self._session.timeout_s + self.self_test_s,
             pattern=r"[+-]?\d{1,5}",
             expected="the result of the self-test, 0 or 1",
         )
@@ -255,11 +255,11 @@ class ScpiVoltmeter(ABC):
         readings = settings.samples * len(self.channels)
         character_s = self._session.serial.character_time_s if self._interface == "rs232" else 0.0
         return self._session.query(
-            "FETC?",
-            timeout_s=self._session.timeout_s + _PATIENCE * self._reading_time_s(settings, character_s),
+            self.fetch_query,
+            timeout_s=self._session.timeout_s + _PATIENCE * self.reading_time_s(settings, character_s),
             # Some firmware prints a comma after the last reading.
-            pattern=rf"{_READING}(?:,{_READING}){{{readings - 1}}},?",
-            expected=f"{readings} readings such as +1.23456780E+00",
+            pattern=rf"{self.reading}(?:,{self.reading}){{{readings - 1}}},?",
+            expected=f"{readings} readings such as {self.reading_example}",
         )
 
     def _discard(self) -> None:
@@ -269,9 +269,9 @@ class ScpiVoltmeter(ABC):
 
     def close(self) -> None:
         """Leave the meter in local and let it go. Never raises, may be called twice."""
-        if self._interface == "rs232" and self._session.connection is not None:
+        if self._interface == "rs232" and self.local_command and self._session.connection is not None:
             with contextlib.suppress(Exception):
-                self._session.write("SYST:LOC")
+                self._session.write(self.local_command)
         self._connection = None
         self._started = False
         self._session.close()
@@ -280,8 +280,8 @@ class ScpiVoltmeter(ABC):
 
     def _be_remote(self) -> None:
         """Over RS-232 the meter takes commands only in remote; by any other interface it is so by itself."""
-        if self._interface == "rs232":
-            self._session.write("SYST:REM")
+        if self._interface == "rs232" and self.remote_command:
+            self._session.write(self.remote_command)
         self._spoke_s = self._clock.now_s()
 
     def _set(self, setting: ProvenSetting) -> list[str]:
@@ -309,8 +309,10 @@ class ScpiVoltmeter(ABC):
     def _errors(self) -> list[str]:
         """Empty the error queue and return what stood in it."""
         errors = []
-        for _ in range(_ERROR_QUEUE + 1):
-            reply = self._session.query("SYST:ERR?", pattern=_ERROR, expected="an error number and text")
+        for _ in range(self.errors_kept + 1):
+            reply = self._session.query(
+                self.error_query, pattern=self.error_reply, expected="an error number and text"
+            )
             if int(reply.partition(",")[0]) == 0:
                 break
             errors.append(f"error {reply}")
@@ -327,7 +329,7 @@ class ScpiVoltmeter(ABC):
     def _refuse_overload(
         self, signals: Mapping[Channel, tuple[float, ...]], settings: VoltmeterSettings
     ) -> None:
-        over = [c for c, values in signals.items() if any(abs(value) >= OVERLOAD_V for value in values)]
+        over = [c for c, values in signals.items() if any(abs(value) >= self.overload_v for value in values)]
         if over:
             raise BadReading(
                 self.name,
@@ -353,16 +355,7 @@ class ScpiVoltmeter(ABC):
             self._refuse(self._errors(), "reports errors with a reading")
 
 
-def is_of(identity: Identity, models: Sequence[str]) -> bool:
-    """Tell whether the identity is of one of the models, made by HP, Agilent or Keysight."""
-    return identity.model in models and re.fullmatch(_MAKER, identity.maker, re.IGNORECASE) is not None
-
-
-def _listed(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
-
-
 def _plain(wanted: str | float | tuple[float, ...]) -> str:
     if isinstance(wanted, str):
         return wanted
-    return _listed(wanted if isinstance(wanted, tuple) else (wanted,))
+    return ", ".join(f"{value:g}" for value in (wanted if isinstance(wanted, tuple) else (wanted,)))

@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 from drivers.interfaces import BenchError
-from sim.agilent_34401a.meter import Agilent34401A, Interface
-from sim.keysight_34461a import Keysight34461A
-from sim.keysight_34970a.multiplexer import Keysight34970A
 from sim.wires.faults import FaultKind, FaultyInstrument
 from sim.wires.prologix import GpibAdapter
 from sim.wires.pty import TerminalServer
@@ -22,12 +19,11 @@ from sim.wires.traffic import Traffic
 from sim.world.clock import VirtualClock
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from types import TracebackType
 
     from drivers.clock import Clock
     from drivers.interfaces import Channel
-    from sim.agilent_34401a.converter import Accuracy
     from sim.scpi.instrument import ScpiInstrument
     from sim.wires.faults import Fault
     from sim.wires.session import Dialect
@@ -41,67 +37,24 @@ OF_INSTRUMENT: Final = frozenset(
 
 @dataclass(frozen=True)
 class SimulatedMeter:
-    """One voltmeter: the channel it is wired to, and what it is like (see `Agilent34401A`)."""
+    """One voltmeter: what makes it, which channels of the block are at its inputs, what it is like.
 
-    channel: Channel
-    interface: Interface = "lan"
-    noise: bool = True
-    accuracy: Accuracy | None = None
-    line_hz: float = 50.0
-    model: Literal["34401A", "34461A"] = "34401A"
-
-    def on(self, world: World, clock: Clock | None = None) -> ScpiInstrument:
-        """Return the meter, wired to its channel of a world; `clock` is its own where it is not the world's.
-
-        Raises `ValueError` for an interface that the model does not have.
-        """
-        wiring, lives_by = world.terminals(self.channel), clock or world.clock
-        if self.model == "34401A":
-            return Agilent34401A(
-                wiring,
-                lives_by,
-                interface=self.interface,
-                noise=self.noise,
-                accuracy=self.accuracy,
-                line_hz=self.line_hz,
-            )
-        if self.interface == "rs232":
-            raise ValueError(f"a {self.model} has no RS-232")
-        return Keysight34461A(
-            wiring,
-            lives_by,
-            interface=self.interface,
-            noise=self.noise,
-            accuracy=self.accuracy,
-            line_hz=self.line_hz,
-        )
-
-
-@dataclass(frozen=True)
-class SimulatedMultiplexer:
-    """One multichannel voltmeter: which channel of the block is on which of its own, with the cards it takes.
-
-    The other fields are as of `SimulatedMeter`; by LAN it is a 34972A, else a 34970A.
+    `make` is called with what the meter is wired to, its clock and the `options`; a meter with several inputs
+    has `inputs` by their channels, and is given the wiring of each number.
     """
 
-    inputs: Mapping[Channel, int]
-    interface: Interface = "lan"
-    noise: bool = True
-    accuracy: Accuracy | None = None
-    line_hz: float = 50.0
+    make: Callable[..., ScpiInstrument]
+    inputs: Channel | Mapping[Channel, int]
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def on(self, world: World, clock: Clock | None = None) -> ScpiInstrument:
-        """Return the meter, wired to its channels of a world; `clock` as for `SimulatedMeter`."""
-        return Keysight34970A(
-            {number: world.terminals(channel) for channel, number in self.inputs.items()},
-            clock or world.clock,
-            model="34972A" if self.interface == "lan" else "34970A",
-            cards={100 * (number // 100): "34901A" for number in self.inputs.values()},
-            interface=self.interface,
-            noise=self.noise,
-            accuracy=self.accuracy,
-            line_hz=self.line_hz,
-        )
+        """Return the meter, wired to its channels of a world; `clock` is its own where it is not the world's."""
+        wiring: object
+        if isinstance(self.inputs, str):
+            wiring = world.terminals(self.inputs)
+        else:
+            wiring = {number: world.terminals(channel) for channel, number in self.inputs.items()}
+        return self.make(wiring, clock or world.clock, **self.options)
 
 
 class SimulatedBench:
@@ -120,7 +73,7 @@ class SimulatedBench:
     def __init__(
         self,
         world: World,
-        instruments: Mapping[str, Dialect | SimulatedMeter | SimulatedMultiplexer],
+        instruments: Mapping[str, Dialect | SimulatedMeter],
         *,
         host: str = "127.0.0.1",
         first_port: int = 0,
@@ -142,7 +95,7 @@ class SimulatedBench:
             self._attach(adapter, {name: instruments[name] for name in members})
         for name, given in instruments.items():
             if name not in self._on_bus:
-                made = given.on(world) if isinstance(given, SimulatedMeter | SimulatedMultiplexer) else given
+                made = given.on(world) if isinstance(given, SimulatedMeter) else given
                 self._add(name, made)
         ported = [name for name in self.dialects if name not in self._on_bus]
         wired = {
@@ -172,14 +125,12 @@ class SimulatedBench:
         self.faulty[name] = FaultyInstrument(dialect, name, self.world.settings.seed)
         return self.faulty[name]
 
-    def _attach(
-        self, adapter: str, members: Mapping[str, Dialect | SimulatedMeter | SimulatedMultiplexer]
-    ) -> None:
+    def _attach(self, adapter: str, members: Mapping[str, Dialect | SimulatedMeter]) -> None:
         """Put meters on the bus of an adapter; each lives by the clock that the adapter gives it."""
         bus = GpibAdapter(self.world.clock)
         self._add(adapter, bus)
         for name, given in members.items():
-            if not isinstance(given, SimulatedMeter | SimulatedMultiplexer):
+            if not isinstance(given, SimulatedMeter):
                 raise ValueError(f"{name} cannot be put on a GPIB bus: only meters can")
             address = self._on_bus[name][1]
             meter = bus.attach(address, partial(given.on, self.world))

@@ -10,6 +10,8 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
+from drivers.thermotron.facts import BUSY_S, MANUAL, STOPPED
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -18,9 +20,6 @@ if TYPE_CHECKING:
 IDENTITY: Final = "8800 V3.12"
 
 _SET_POINT: Final = re.compile(r"SETP1,([+-]?\d+(?:\.\d+)?)\Z")
-_BUSY_S: Final = 1.0
-_STOPPED: Final = 2
-_MANUAL: Final = 16
 
 
 class Thermotron8800:
@@ -41,13 +40,13 @@ class Thermotron8800:
         self._identity = identity
         self._range = (lowest_c, highest_c)
         self._set_point_c = 23.0
-        self._mode = _STOPPED
+        self._mode = STOPPED
         self._wrote_s = -math.inf
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Answer a query, carry out a setting; anything else, or what comes too soon, is passed over."""
         now_s = self._world.clock.now_s()
-        if now_s - self._wrote_s < _BUSY_S:
+        if now_s - self._wrote_s < BUSY_S:
             return None
         command = message.decode("ascii", "replace").strip().upper()
         answers: dict[str, Callable[[], str]] = {
@@ -78,11 +77,11 @@ class Thermotron8800:
             if lowest_c <= float(match[1]) <= highest_c:
                 self._set_point_c = float(match[1])
         elif command == "RUNM":
-            self._mode = _MANUAL
+            self._mode = MANUAL
             self._world.ramp_chamber(self._set_point_c)
         elif command in ("STOP", "INIT"):
             self._stop()
 
     def _stop(self) -> None:
-        self._mode = _STOPPED
+        self._mode = STOPPED
         self._world.switch_chamber_off()

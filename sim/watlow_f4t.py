@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Literal
 
+from drivers.watlow_f4t.facts import FAHRENHEIT_AT_0_C, FAHRENHEIT_PER_C
 from sim.scpi.instrument import Command, ScpiInstrument
 from sim.scpi.status import ScpiError
 from sim.scpi.values import Boolean, Choice, Number
@@ -89,11 +90,12 @@ class WatlowF4T(ScpiInstrument):
         ]
 
     def _shown(self, temperature_c: float) -> str:
-        value = temperature_c * 1.8 + 32.0 if self._unit == "F" else temperature_c
+        fahrenheit = self._unit == "F"
+        value = temperature_c * FAHRENHEIT_PER_C + FAHRENHEIT_AT_0_C if fahrenheit else temperature_c
         return f"{value:.2f}"
 
     def _demand(self, value: float) -> None:
-        target_c = (value - 32.0) / 1.8 if self._unit == "F" else value
+        target_c = (value - FAHRENHEIT_AT_0_C) / FAHRENHEIT_PER_C if self._unit == "F" else value
         lowest_c, highest_c = self._range
         if not lowest_c <= target_c <= highest_c:
             raise ScpiError(-222)

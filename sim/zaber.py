@@ -10,16 +10,15 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
+from drivers.zaber.facts import MOST_STEPS, RESOLUTION, SPEED_UNITS, checksum
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sim.world.world import World
 
-_SPEED_UNITS: Final = 1.6384
-"""The setting maxspeed is this many per microstep/s."""
 _INTEGER: Final = re.compile(r"-?\d{1,10}\Z")
 _NUMBER: Final = re.compile(r"\d{1,2}\Z")
-_MOST_STEPS: Final = 2**31 - 1
 _PRIORITY: Final = ("FD", "FS", "WR", "NC", "NI")
 """Of several warnings a reply shows the first."""
 
@@ -42,7 +41,7 @@ class ZaberStage:
         steps_per_degree: float,
         device: int = 1,
         axis: int = 1,
-        resolution: int = 64,
+        resolution: int = RESOLUTION,
         device_id: int = 50952,
         speed_deg_s: float = 10.0,
         lowest_deg: float = -400.0,
@@ -58,7 +57,7 @@ class ZaberStage:
         self._limits = sorted(round(deg * steps_per_degree) for deg in (lowest_deg, highest_deg))
         self._read_only = {"deviceid": device_id, "system.serial": 73021, "version": "7.38"}
         self._read_only["resolution"] = resolution
-        speed = round(speed_deg_s * abs(steps_per_degree) * _SPEED_UNITS)
+        speed = round(speed_deg_s * abs(steps_per_degree) * SPEED_UNITS)
         self._settings = {"comm.alert": 0, "comm.checksum": 0, "maxspeed": speed}
         self._warnings: set[str] = set() if homed else {"WR"}
         self._homing = False
@@ -81,7 +80,7 @@ class ZaberStage:
         if not text.startswith("/"):
             return None
         body, colon, sent = text[1:].rpartition(":")
-        if colon and _checksum(body) != sent:
+        if colon and checksum(body) != sent:
             return None
         words = (body if colon else text[1:]).split()
         numbers: list[int] = []
@@ -136,7 +135,7 @@ class ZaberStage:
         return self._signed("!", f"{self._device:02d} {self._axis} IDLE {self._flag}") + "\r\n"
 
     def _signed(self, kind: str, text: str) -> str:
-        return f"{kind}{text}:{_checksum(text)}" if self._settings["comm.checksum"] else f"{kind}{text}"
+        return f"{kind}{text}:{checksum(text)}" if self._settings["comm.checksum"] else f"{kind}{text}"
 
     # --- state --------------------------------------------------------------------------------------
 
@@ -156,7 +155,7 @@ class ZaberStage:
 
     @property
     def _speed_rad_s(self) -> float:
-        return math.radians(self._settings["maxspeed"] / _SPEED_UNITS / abs(self._steps_per_degree))
+        return math.radians(self._settings["maxspeed"] / SPEED_UNITS / abs(self._steps_per_degree))
 
     @property
     def _position(self) -> int:
@@ -178,7 +177,7 @@ class ZaberStage:
     def _set(self, words: list[str]) -> str:
         if len(words) != 2 or words[0] not in self._settings:
             raise _Rejected("BADCOMMAND")
-        least, most = (1, _MOST_STEPS) if words[0] == "maxspeed" else (0, 1)
+        least, most = (1, MOST_STEPS) if words[0] == "maxspeed" else (0, 1)
         self._settings[words[0]] = _integer(words[1], least, most)
         return "0"
 
@@ -234,8 +233,3 @@ def _integer(text: str, least: int, most: int) -> int:
     if _INTEGER.match(text) is None or not least <= int(text) <= most:
         raise _Rejected("BADDATA")
     return int(text)
-
-
-def _checksum(body: str) -> str:
-    """Two's complement of the sum of the bytes, two hexadecimal digits."""
-    return f"{-sum(body.encode('ascii', 'replace')) & 0xFF:02X}"

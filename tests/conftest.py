@@ -1,7 +1,9 @@
 """What tests share: a command line in an empty folder."""
 
+import contextlib
 import io
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +19,23 @@ def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("BENCH_FILE", "BENCH_RUNS"):
         monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture(scope="session")
+def dry_run_of_paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a dry run of the paper's procedure, seed 1; not to be written to."""
+    from bench.cli.app import main
+
+    folder = tmp_path_factory.mktemp("shared")
+    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()), pytest.raises(SystemExit):
+        main(["run", "paper", "--dry-run", "--name", "run", "--runs", "runs"])
+    return folder / "runs" / "run"
+
+
+@pytest.fixture
+def paper_run(empty_folder: None, dry_run_of_paper: Path) -> None:
+    """A dry run of the paper's procedure as `runs/run` of the empty folder: a copy of one that many share."""
+    shutil.copytree(dry_run_of_paper, "runs/run")
 
 
 @pytest.fixture

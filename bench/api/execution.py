@@ -17,7 +17,7 @@ from bench.api.errors import Refused
 from bench.api.provenance import versions
 from bench.api.source import bench_path
 from bench.assembly.served import Assembly, dry_bench, real_bench
-from bench.files.bench.file import BenchFile, load_bench
+from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
@@ -98,7 +98,23 @@ def new_run(
         "unit_under_test": {"type": unit.type, "serial": unit.serial},
         "versions": versions(),
     }
+    if foreign := foreign_drivers(file):
+        manifest["devices"] = foreign
     return NewRun(runs / name, manifest, inputs)
+
+
+def refuse_missing_devices(run: Run) -> None:
+    """Raise `Refused` where a driver that the run was begun with is not here."""
+    came_from = run.manifest.get("devices", {})
+    missing = [
+        f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")
+        for name in missing_drivers(run.folder / BENCH)
+    ]
+    if missing:
+        raise Refused(
+            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is "
+            "in with --devices or BENCH_DEVICES, or install its distribution"
+        )
 
 
 def _included(procedure: Procedure) -> dict[str, bytes]:

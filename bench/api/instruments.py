@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
 from bench.assembly.served import real_bench
+from bench.devices.chambers import ChamberForm
+from bench.devices.heads import HeadForm
 from bench.files.bench.file import BenchFile
 from bench.run.workbench import QUICK_NPLC
 from drivers.angles import format_dms
@@ -115,15 +117,13 @@ def look_at(file: BenchFile, wire: WireLog | None) -> list[InstrumentLook]:
 
 def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
     """Return the row of an instrument with what the bench file says of it."""
-    sections = file.instruments
-    known = [*sections.voltmeters, sections.head, *([sections.chamber] if sections.chamber else [])]
-    section = next(section for section in known if section.name == instrument.name)
+    section = next(section for section in file.instruments.all() if section.name == instrument.name)
     address = getattr(section, "resource", None)
     settings = ""
-    if section is sections.head:
-        settings = f"within {format_dms(sections.head.tolerance)}"
-    elif sections.chamber is not None and section is sections.chamber:
-        settings = f"{sections.chamber.minimum:g} to {sections.chamber.maximum:g} °C"
+    if isinstance(section, HeadForm):
+        settings = f"within {format_dms(section.tolerance)}"
+    elif isinstance(section, ChamberForm):
+        settings = f"{section.minimum:g} to {section.maximum:g} °C"
     where = "by hand" if address is None else str(address)
     return InstrumentLook(instrument.name, where, settings, samples=file.least_samples)
 

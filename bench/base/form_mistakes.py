@@ -137,7 +137,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
     """Yield the models that an annotation can hold: itself, alternatives, members of lists and mappings."""
     if isinstance(annotation, type) and not get_args(annotation) and issubclass(annotation, BaseModel):
         annotation.model_rebuild()  # names of models that its file defines further down become those models
-        yield annotation
+        yield from getattr(annotation, "alternatives", tuple)() or (annotation,)
     elif get_origin(annotation) is Annotated:
         yield from _models(get_args(annotation)[0])
     elif get_origin(annotation) in {Union, types.UnionType, list, tuple, dict}:

@@ -63,6 +63,11 @@ class FileModel(BaseModel):
         """
         return ()
 
+    @classmethod
+    def alternatives(cls) -> Iterable[type[FileModel]]:
+        """Return the models one of which stands where this one is named, by a word in it; none for most."""
+        return ()
+
 
 @dataclass
 class Document:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -10,9 +11,63 @@ from typer.core import TyperCommand, TyperOption
 
 from bench.cli.commands import Commands
 
+
+class _Commands(Commands):
+    """The commands: each that takes a bench file, or has one on record, takes folders of instruments, too."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command with the option `--devices` where it is of use."""
+        command = super().get_command(ctx, cmd_name)
+        names = {parameter.name for parameter in command.params} if command is not None else set()
+        if command is not None and "devices" not in names and ("bench" in names or cmd_name == "resume"):
+            command.params.append(_devices_option())
+        return command
+
+
+def _devices_option() -> Any:
+    """Return the option as the library makes it of a function's parameter."""
+    alone = typer.Typer()
+
+    @alone.command()
+    def _(
+        devices: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--devices",
+                metavar="DIR",
+                help="Folder with instruments of your own; it is run (default: BENCH_DEVICES).",
+                expose_value=False,
+                callback=_use_devices,
+            ),
+        ] = None,
+    ) -> None:
+        pass
+
+    return next(option for option in typer.main.get_command(alone).params if option.name == "devices")
+
+
+def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
+    """Put folders before those that the environment names, as long as the command lasts."""
+    for folder in folders or ():
+        if not Path(folder).is_dir():
+            raise typer.BadParameter(f"{folder}: there is no such folder")
+    if folders:
+        before = os.environ.get(DEVICES)
+        os.environ[DEVICES] = os.pathsep.join([*folders, *([before] if before else [])])
+        ctx.call_on_close(lambda: _restore(before))
+
+
+def _restore(before: str | None) -> None:
+    os.environ.pop(DEVICES, None)
+    if before is not None:
+        os.environ[DEVICES] = before
+
+
+DEVICES: Final = "BENCH_DEVICES"
+
 app = typer.Typer(
     name="bench",
-    cls=Commands,
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

@@ -22,7 +22,7 @@ def resume(
     runs: RunsOption = RUNS,
 ) -> int:
     """Go on with an interrupted run at the first point without a reading."""
-    from bench.api.execution import carry_out, unfinished_run
+    from bench.api.execution import carry_out, refuse_missing_devices, unfinished_run
     from bench.run.folder import Run
     from bench.run.record import Record
     from bench.run.signals import Interrupts
@@ -31,6 +31,7 @@ def resume(
 
     printing.check_target(json)
     found = unfinished_run(name, runs)
+    refuse_missing_devices(found)
     _accept_changes(found, json)
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)

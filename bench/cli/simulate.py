@@ -140,9 +140,7 @@ def _show(bench: BenchFile, serving: Serving) -> None:
     for served in serving.instruments:
         table.add_row(served["name"], served["model"], served["tcp"], served["pty"] or "none")
     out.print(table)
-    sections = bench.instruments
-    by_hand = [sections.head.name] + ([sections.chamber.name] if sections.chamber else [])
-    by_hand = [name for name in by_hand if name not in {served["name"] for served in serving.instruments}]
+    by_hand = [section.name for section in bench.instruments.all() if section.by_hand]
     if by_hand:
         out.print(f"{' and '.join(by_hand)}: without a wire of its own, set through the control")
     out.print(f"control: bench simulate --control {serving.control} 'turn 45 deg' ('help' lists all)")

@@ -1,18 +1,43 @@
-"""The thermal chamber of a bench file: one that a person sets, or one with a controller."""
+"""The form of the thermal chambers of a bench file: one that a person sets, or one with a controller."""
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import QuantityKind, TemperatureC, not_negative
-from bench.devices.wires import IdentityPattern, PortSection, WiredForm, driver_of, resource_on
+from bench.base.units import QuantityKind, SpanS, TemperatureC, not_negative
+from bench.devices.device import DeviceSection, Role
+from bench.devices.wires import WiredForm
 
 DIFFERENCE: Final = QuantityKind("a difference of temperatures", "2 K", "K", only=("K", "mK"))
+TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
 
 SizeK = Annotated[float, not_negative(DIFFERENCE)]
+RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
+
+OF_THE_AIR: Final = ("rate", "lag", "off_lag")
+"""What the simulated world does with the air of any chamber that is simulated."""
+
+
+class ChamberTruth(FileModel):
+    """A simulated chamber with a controller: how fast it takes its air along, how it drifts back when off.
+
+    `lag` is how far the air is behind; `sensor_noise` the standard deviation of what its sensor shows.
+    """
+
+    rate: RateKS = 4.0 / 60.0
+    lag: SpanS = 120.0
+    off_lag: SpanS = 3600.0
+    sensor_noise: SizeK = 0.0
+
+    @field_validator("rate", "lag", "off_lag")
+    @classmethod
+    def _more_than_nothing(cls, size: float) -> float:
+        if size == 0.0:
+            raise ValueError("expected more than nothing: no chamber is at once where it is sent, nor never")
+        return size
 
 
 class TemperatureRange(FileModel):
@@ -35,24 +60,17 @@ class TemperatureRange(FileModel):
             )
 
 
-class ManualChamberSection(TemperatureRange):
-    """A chamber that a person sets and reads. `safe` is what it is set to after a run, off where left out."""
+class ChamberForm(TemperatureRange, DeviceSection):
+    """What every chamber is told: the temperatures that may be demanded."""
 
-    driver: Literal["manual-chamber"]
+    role: ClassVar[Role] = "chamber"
+
     name: str = "chamber"
-    safe: TemperatureC | None = None
-
-    @model_validator(mode="after")
-    def _can_be_safe(self) -> ManualChamberSection:
-        if self.safe is not None:
-            self.refuse_outside(self.safe, "the safe setting")
-        return self
 
 
-class ControlledChamberForm(TemperatureRange, WiredForm):
+class ControlledChamberForm(ChamberForm, WiredForm):
     """A chamber with a controller; at a reading its air is within `band` of the demand, where one is stated."""
 
-    name: str = "chamber"
     band: SizeK | None = None
 
     @field_validator("band")
@@ -62,60 +80,10 @@ class ControlledChamberForm(TemperatureRange, WiredForm):
             raise ValueError("the band is more than nothing: no air keeps its temperature exactly")
         return band_k
 
+    def limits(self) -> tuple[float, float, float | None]:
+        """Return lowest and highest demand and the band (`drivers.chambers.ChamberLimits`), °C."""
+        return self.minimum, self.maximum, self.band
 
-class EspecSection(ControlledChamberForm):
-    """A chamber with an Espec P300 or SCP-220; `identity` is the pattern of the controller's name."""
-
-    driver: Literal["espec"]
-    resource: Annotated[
-        str,
-        resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.50::10001::SOCKET'"
-        ),
-    ]
-    identity: IdentityPattern = r"[EP]S?-?[123]\d\d|SCP-?220"
-    serial: PortSection = PortSection(baud_rate=19200)
-
-
-class WatlowF4TSection(ControlledChamberForm):
-    """A chamber with a Watlow F4T.
-
-    `output` is the output that switches conditioning on; where it is left out, the chamber is set to `safe`
-    after a run.
-    """
-
-    driver: Literal["watlow-f4t"]
-    resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.51::5025::SOCKET'")]
-    identity: IdentityPattern = r"F4T"
-    loop: Annotated[int, Field(ge=1, le=4)] = 1
-    output: Annotated[int, Field(ge=1, le=99)] | None = None
-    safe: TemperatureC = 23.0
-
-    @model_validator(mode="after")
-    def _can_be_safe(self) -> WatlowF4TSection:
-        if self.output is None:
-            self.refuse_outside(self.safe, "the safe setting")
-        return self
-
-
-class ThermotronSection(ControlledChamberForm):
-    """A chamber with a Thermotron controller, set to °C; `identity` is the pattern of its name."""
-
-    driver: Literal["thermotron"]
-    resource: Annotated[
-        str,
-        resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.52::8888::SOCKET'"
-        ),
-    ]
-    identity: IdentityPattern = r"2800|3800|8200|8800"
-    serial: PortSection = PortSection(baud_rate=9600)
-
-
-ChamberSection = Annotated[
-    Annotated[
-        ManualChamberSection | EspecSection | WatlowF4TSection | ThermotronSection,
-        Field(discriminator="driver"),
-    ],
-    driver_of(ManualChamberSection, EspecSection, WatlowF4TSection, ThermotronSection),
-]
+    def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
+        """Return what every simulated chamber is given: what its own controller allows."""
+        return {"lowest_c": self.minimum, "highest_c": self.maximum}

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, create_model, field_validator
+from pydantic import AfterValidator, field_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import DurationS
+from bench.devices.device import DeviceSection
 
 BAUD_RATES: Final = (300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 
@@ -61,9 +65,25 @@ def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterVal
     return AfterValidator(check)
 
 
-class WiredForm(FileModel):
-    """An instrument with a wire: how long to wait for a reply."""
+@dataclass(frozen=True)
+class Port:
+    """How an instrument's wire is set up: how lines end, and how a serial port speaks where it may have one."""
 
+    read_termination: str
+    write_termination: str
+    serial: Mapping[str, Any] | None = None
+
+
+WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
+"""What the facts of an instrument with a wire must say; with a serial port `SERIAL`, too."""
+
+
+class WiredForm(DeviceSection):
+    """An instrument with a wire: where it is, how long to wait for a reply. Its `facts` say how it speaks."""
+
+    facts: ClassVar[ModuleType]
+
+    resource: str
     timeout: DurationS = 3.0
 
     @field_validator("timeout")
@@ -72,6 +92,12 @@ class WiredForm(FileModel):
         if timeout_s <= 0.0:
             raise ValueError(f"expected a duration longer than nothing such as '5 s', got {timeout_s:g} s")
         return timeout_s
+
+    def port(self) -> Port:
+        """Return how its wire is set up: as its facts have it, a serial port as the section says."""
+        stated = getattr(self, "serial", None)
+        serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
+        return Port(self.facts.READ_TERMINATION, self.facts.WRITE_TERMINATION, serial)
 
 
 class PortSection(FileModel):
@@ -83,6 +109,15 @@ class PortSection(FileModel):
     @classmethod
     def _usual(cls, baud_rate: int) -> int:
         return usual_baud_rate(baud_rate, BAUD_RATES)
+
+    @classmethod
+    def of(cls, facts: ModuleType) -> PortSection:
+        """Return the port as delivered."""
+        return cls(baud_rate=facts.SERIAL["baud_rate"])
+
+    def settings(self) -> dict[str, Any]:
+        """Return what it says of the port."""
+        return {"baud_rate": self.baud_rate}
 
 
 def usual_baud_rate(baud_rate: int, known: tuple[int, ...]) -> int:
@@ -104,20 +139,6 @@ IdentityPattern = Annotated[str, AfterValidator(_pattern)]
 """A regular expression that the instrument's own name must match."""
 
 
-def driver_of(*sections: type[FileModel]) -> BeforeValidator:
-    """Return the validator that tells of a driver that none of these sections is for, and of nothing else.
-
-    It goes before the choice among them, which would not say where the driver stands and which is near.
-    """
-    names = tuple(
-        name for section in sections for name in get_args(section.model_fields["driver"].annotation)
-    )
-    fields: dict[str, Any] = {"driver": (Literal[names], ...)}
-    named = create_model("Named", __config__=ConfigDict(extra="ignore"), **fields)
-
-    def check(written: object) -> object:
-        if isinstance(written, dict):
-            named.model_validate(written)
-        return written
-
-    return BeforeValidator(check)
+def as_stated(identity: str) -> bool:
+    """Whether the identity of a bench file is a plain name and no pattern: then a simulation has that name."""
+    return re.fullmatch(r"[\w -]+", identity) is not None

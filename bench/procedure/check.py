@@ -44,6 +44,8 @@ def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    if not bench.knows_its_meters:
+        return
     nplc: dict[float, str] = {}
     samples: dict[int, str] = {}
     for step in plan.steps:
@@ -132,7 +134,7 @@ def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
         return
     if chamber is None:
         yield f"step {first.key}: the temperature is to settle, but the bench file has no chamber"
-    elif chamber.driver.startswith("manual"):
+    elif chamber.by_hand:
         yield (
             f"step {first.key}: the temperature is to settle, but a person reads it and cannot be asked again and "
             "again; take a plain soak"
@@ -155,8 +157,8 @@ def operator_actions(plan: Plan, bench: BenchFile) -> int:
     A thermometer that a person reads is read at each mounting, too.
     """
     chamber = bench.instruments.chamber
-    turned = bench.instruments.head.driver.startswith("manual")
-    heated = chamber is not None and chamber.driver.startswith("manual")
+    turned = bench.instruments.head.by_hand
+    heated = chamber is not None and chamber.by_hand
     actions = 0
     for step in plan.steps:
         match step:

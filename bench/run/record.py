@@ -41,7 +41,8 @@ class Manifest(TypedDict, total=False):
     """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
 
     `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
-    `readings` that has, and nothing of a procedure.
+    `readings` that has, and nothing of a procedure. `devices` says where those drivers came from that are none
+    of the bench's own, and is left out where there are none.
     """
 
     format: int
@@ -57,6 +58,7 @@ class Manifest(TypedDict, total=False):
     plan_hash: str
     unit_under_test: UnitUnderTest
     versions: dict[str, str]
+    devices: dict[str, str]
     files: dict[str, str]
 
 

@@ -2,6 +2,7 @@
 
     python -m benchmarks.blind_trial --short
     python -m benchmarks.blind_trial --seed 7 --workers 2 --json score.json --ledger ledger.jsonl
+    python -m benchmarks.blind_trial --seed 7 --page
 
 Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed; only then are
 the answers opened, checked against their seals, and the score printed as markdown, each share with the
@@ -22,6 +23,7 @@ from typing import Final
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case, seal
 from benchmarks.blind_trial.mistakes import MISTAKES
+from benchmarks.blind_trial.page import stored, tables, write
 from benchmarks.blind_trial.score import (
     Diagnose,
     Marks,
@@ -29,8 +31,6 @@ from benchmarks.blind_trial.score import (
     Share,
     Task,
     judge,
-    markdown,
-    mean_gap,
     run_trial,
     tally,
 )
@@ -87,8 +87,14 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", metavar="KIND", help="null, single, pair, outside, hidden, mistake, ...")
     parser.add_argument("--ties", choices=["signature", "table"], default="signature")
     parser.add_argument("--json", metavar="FILE", help="score and outcomes; - for standard output")
+    parser.add_argument(
+        "--page", action="store_true", help="write docs/blind-trial.json and docs/diagnosis.md"
+    )
     parser.add_argument("--ledger", type=Path, metavar="FILE", help="append the seals of the cases here")
-    return parser.parse_args(argv)
+    given = parser.parse_args(argv)
+    if given.page and (given.short or given.rows or given.only):
+        parser.error("--page is for the whole trial: leave --short, --rows and --only out")
+    return given
 
 
 def _rows(given: argparse.Namespace) -> list[Row]:
@@ -96,6 +102,12 @@ def _rows(given: argparse.Namespace) -> list[Row]:
     if not rows:
         raise SystemExit(f"There is no kind of case called {given.only}.")
     return [replace(row, count=given.rows) for row in rows] if given.rows else rows
+
+
+def _made(given: argparse.Namespace, seconds: int) -> dict[str, object]:
+    """Return what made a result, so that it can be made again. The page is for the whole trial alone."""
+    command = f'make blind-trial TRIAL="--page --seed {given.seed}"'
+    return {"command": command, "seed": given.seed, "seconds": seconds, "on": f" on {given.workers} cores"}
 
 
 def _open_answers(outcomes: Sequence[Outcome], ties: str) -> list[tuple[Row, Marks]]:
@@ -152,9 +164,12 @@ def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) 
             ledger.writelines(json.dumps(outcome.seal) + "\n" for outcome in outcomes)
     shares = tally(rows, _open_answers(outcomes, given.ties))
     report = sys.stderr if given.json == "-" else sys.stdout
-    print(markdown(rows, shares), file=report)
-    print(f"\n{mean_gap(rows, outcomes)}", file=report)
-    print(f"\n{len(tasks)} cases, seed {given.seed}, {time.perf_counter() - start:.0f} s", file=report)
+    seconds = round(time.perf_counter() - start)
+    result = stored(rows, shares, outcomes, _made(given, seconds))
+    print(tables(result), file=report)
+    print(f"\n{len(tasks)} cases, seed {given.seed}, {seconds} s", file=report)
+    if given.page:
+        write(result)
     if given.json:
         text = _as_json(outcomes, shares, given.seed)
         if given.json == "-":

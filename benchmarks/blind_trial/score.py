@@ -211,24 +211,6 @@ def _coefficients_right(estimate: dict[str, Any]) -> bool:
     return bool(chi2.sf(chi_square, len(error)) > SIGNIFICANT)
 
 
-def mean_gap(rows: Sequence[Row], outcomes: Sequence[Outcome]) -> str:
-    """Return as markdown the mean reduced chi-square of the readings held out, before and after naming."""
-    lines = ["| held out, named | cases | before | after |", "|---|---|---|---|"]
-    for row in rows:
-        gaps = [
-            outcome.diagnosis["gap"]
-            for outcome in outcomes
-            if outcome.task.row == row
-            and outcome.diagnosis
-            and outcome.diagnosis["verdict"] in {"named", "confounded"}
-            and outcome.diagnosis["gap"]["p_after"] is not None
-        ]
-        if row.kind == "single" and gaps:
-            before, after = (np.mean([gap[when] for gap in gaps]) for when in ("before", "after"))
-            lines.append(f"| {row.key} | {len(gaps)} | {before:.3f} | {after:.3f} |")
-    return "\n".join(lines)
-
-
 def tally(rows: Sequence[Row], marks: Sequence[tuple[Row, Marks]]) -> dict[str, dict[str, Share]]:
     """Count the marks: row key to column to share, in the order of the rows."""
     counts: dict[str, dict[str, list[int]]] = {row.key: {} for row in rows}
@@ -240,18 +222,3 @@ def tally(rows: Sequence[Row], marks: Sequence[tuple[Row, Marks]]) -> dict[str, 
     return {
         key: {column: Share(*count) for column, count in columns.items()} for key, columns in counts.items()
     }
-
-
-def markdown(rows: Sequence[Row], shares: dict[str, dict[str, Share]]) -> str:
-    """Return the score as markdown: a table for each kind, a line for each row."""
-    kinds = list(dict.fromkeys(row.kind.split(":")[0] for row in rows))
-    tables = []
-    for kind in kinds:
-        of_kind = [row for row in rows if row.kind.split(":")[0] == kind]
-        columns = list(dict.fromkeys(column for row in of_kind for column in shares[row.key]))
-        lines = [f"| {kind} | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-        for row in of_kind:
-            cells = [str(shares[row.key].get(column, Share(0, 0))) for column in columns]
-            lines.append(f"| {row.key} | " + " | ".join(cells) + " |")
-        tables.append("\n".join(lines))
-    return "\n\n".join(tables)

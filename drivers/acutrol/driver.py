@@ -1,39 +1,29 @@
 """A rate table with an ACUTROL controller as dividing head: commands over TCP, degrees in plain text.
 
 Every command is answered: a prefix of eight characters, then OK or a number. There is no query for "in
-position": position and rate are polled. Sources: the public ACUTROL client of the maker's robotics group
-(`acutrol.py`, `ac117.json`); commands `:utility`, `:interlock`, `:mode`, `:demand`, `:read`.
+position": position and rate are polled. Commands `:utility`, `:interlock`, `:mode`, `:demand`, `:read`; sources:
+see its facts.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 from typing import TYPE_CHECKING, Final
 
-from drivers.interfaces import Direction, HeadPosition, Identity, InstrumentRefused
-from drivers.motion import Mover, Travel
-from drivers.wire.proving import ProvedSession
+from drivers.acutrol import facts
+from drivers.interfaces import Identity, InstrumentRefused
+from drivers.motion import MotorisedHead, Travel
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.wire.visa import MessageSession
 
-PORT: Final = 9888
-READ_TERMINATION: Final = "\r\n"
-WRITE_TERMINATION: Final = "\r\n"
-
-_PREFIX_CHARACTERS: Final = 8
-_PREFIX: Final = r"[\x20-\x7e]{8}"
+_PREFIX: Final = rf"[\x20-\x7e]{{{facts.PREFIX_CHARACTERS}}}"
 _ANY: Final = rf"{_PREFIX}[\x20-\x7e]*"
 _NUMBER: Final = rf"{_PREFIX} *[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)? *"
-_STARTUP_GAP_S: Final = 0.25
-_MODE_GAP_S: Final = 0.5
-_FINEST_DEG: Final = 0.001
-"""The controller takes demands with three decimals."""
 
 
-class AcutrolHead:
+class AcutrolHead(MotorisedHead):
     """A `DividingHead` on one axis of an ACUTROL.
 
     `still_rad_s` is the rate below which the table stands. The speed of a move is the controller's own:
@@ -49,16 +39,14 @@ class AcutrolHead:
         travel: Travel,
         *,
         axis: int = 1,
-        still_rad_s: float = math.radians(0.005),
+        still_rad_s: float = math.radians(facts.STILL_DEG_S),
     ) -> None:
-        if math.degrees(travel.tolerance_rad) < _FINEST_DEG / 2.0:
+        if math.degrees(travel.tolerance_rad) < facts.FINEST_DEMAND_DEG:
             raise ValueError(
-                "the tolerance of the head is finer than the 0.0005° to which a demand is rounded"
+                f"the tolerance of the head is finer than the {facts.FINEST_DEMAND_DEG:g}° to which a demand is "
+                "rounded"
             )
-        self.name = name
-        self._session = ProvedSession(session, clock, self._prove)
-        self._clock = clock
-        self._mover = Mover(name, self, travel, clock)
+        super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, facts.MODEL))
         self._axis = axis
         self._still_rad_s = still_rad_s
         self._positioning = False
@@ -72,26 +60,14 @@ class AcutrolHead:
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
         self._positioning = False
-        self._session.open()
+        super().open()
         self._session.repeating(self._start_up)
-        return Identity("Acutronic", "ACUTROL")
+        return self._identity
 
-    def close(self) -> None:
-        """Stop at rate 0, switch the axis off, open the interlock. Never raises, may be called twice."""
-        if self._session.opened:
-            with contextlib.suppress(Exception):
-                self.stop()
-                self._tell(f":mode:off {self._axis}", urgent=True)
-                self._tell(f":interlock:open {self._axis}", urgent=True)
-        self._session.close()
-
-    def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
-        """Turn to `target_rad` from the demanded side; return the angle read back.
-
-        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` for a refused command or a
-        table that does not arrive, `InstrumentLost`, `BadReading`. The motion is stopped then.
-        """
-        return self._mover.move(target_rad, direction)
+    def _release(self) -> None:
+        """Switch the axis off, open the interlock: the table was set to rate 0 just now."""
+        self._tell(f":mode:off {self._axis}", urgent=True)
+        self._tell(f":interlock:open {self._axis}", urgent=True)
 
     # --- the axis -----------------------------------------------------------------------------------
 
@@ -101,7 +77,7 @@ class AcutrolHead:
         if not self._positioning:
             self._demand(self.position_rad())
             self._tell(f":mode:position {self._axis}")
-            self._clock.sleep(_MODE_GAP_S)
+            self._clock.sleep(facts.MODE_GAP_S)
             self._positioning = True
 
     def position_rad(self) -> float:
@@ -137,7 +113,7 @@ class AcutrolHead:
             f":interlock:close {self._axis}",
         ):
             self._tell(command)
-            self._clock.sleep(_STARTUP_GAP_S)
+            self._clock.sleep(facts.STARTUP_GAP_S)
 
     def _prove(self) -> None:
         """A controller is known by the form of its answer."""
@@ -148,15 +124,17 @@ class AcutrolHead:
 
     def _read(self, what: str) -> float:
         reply = self._session.ask(
-            f":read:{what} {self._axis}", _NUMBER, f"a prefix of {_PREFIX_CHARACTERS} characters and a number"
+            f":read:{what} {self._axis}",
+            _NUMBER,
+            f"a prefix of {facts.PREFIX_CHARACTERS} characters and a number",
         )
-        return float(reply[_PREFIX_CHARACTERS:])
+        return float(reply[facts.PREFIX_CHARACTERS :])
 
     def _tell(self, command: str, urgent: bool = False) -> None:
         """Send a command. Raises `InstrumentRefused` for any answer but OK."""
         send = self._session.urgent if urgent else self._session.command
-        reply = send(command, _ANY, f"a prefix of {_PREFIX_CHARACTERS} characters and OK")
-        answer = reply[_PREFIX_CHARACTERS:].strip()
+        reply = send(command, _ANY, f"a prefix of {facts.PREFIX_CHARACTERS} characters and OK")
+        answer = reply[facts.PREFIX_CHARACTERS :].strip()
         if answer.upper() != "OK":
             raise InstrumentRefused(
                 self.name,
@@ -167,5 +145,5 @@ class AcutrolHead:
 
 def _degrees(angle_rad: float) -> str:
     """Format an angle or rate as the controller takes it: "045.000", "-010.500"."""
-    degrees = round(math.degrees(angle_rad), 3)
-    return f"{'-' if degrees < 0.0 else ''}{abs(degrees):07.3f}"
+    degrees = round(math.degrees(angle_rad), facts.DEMAND_DECIMALS)
+    return f"{'-' if degrees < 0.0 else ''}{abs(degrees):07.{facts.DEMAND_DECIMALS}f}"

@@ -1,7 +1,7 @@
 """An Espec chamber with a P300 or SCP-220 controller: ASCII over a serial port or TCP port 10001.
 
-Every command has one reply; a refused one begins with `NA:`. Sources: Espec P300 and SCP-220 communication
-manuals, as read in ChamberConnectLibrary (`especinteract.py`, `p300.py`): TEMP, MON, MODE, ALARM, TYPE, ROM.
+Every command has one reply; a refused one begins with `NA:`. Sources: see its facts; TEMP, MON, MODE, ALARM,
+TYPE, ROM.
 """
 
 from __future__ import annotations
@@ -10,24 +10,14 @@ import contextlib
 import re
 from typing import TYPE_CHECKING, Final
 
-from drivers.chambers import NUMBER, ChamberLimits, refuse_other_set_point
+from drivers.chambers import NUMBER, ChamberLimits, ControlledChamber
+from drivers.espec import facts
 from drivers.interfaces import Identity, InstrumentRefused, LimitExceeded
-from drivers.wire.proving import ProvedSession
-from drivers.wire.visa import SerialSettings
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.wire.visa import MessageSession
 
-PORT: Final = 10001
-READ_TERMINATION: Final = "\r\n"
-WRITE_TERMINATION: Final = "\r\n"
-SERIAL: Final = SerialSettings(
-    baud_rate=19200, data_bits=8, parity="none", stop_bits=1, flow="none", device_clear=b""
-)
-"""A P300 as delivered; an SCP-220 has 9600 baud."""
-
-_RESOLUTION_C: Final = 0.1
 _REFUSED: Final = r"NA: ?[\x20-\x7e]+"
 _TEMPERATURES: Final = rf" ?{NUMBER}(?:, ?{NUMBER}){{3}}"
 _MONITOR: Final = rf" ?{NUMBER}, ?(?:{NUMBER})?, ?(?:OFF|STANDBY|CONSTANT|RUN[^,]*), ?\d+"
@@ -46,11 +36,13 @@ _MEANINGS: Final = {
 }
 
 
-class EspecChamber:
-    """A `ThermalChamber` in constant operation; `temperature` is that of its air.
+class EspecChamber(ControlledChamber):
+    """A `ThermalChamber` in constant operation, set to 0.1 °C; stopped it is in standby.
 
     `identity` is the pattern of the controller's name in the reply to TYPE?.
     """
+
+    resolution_c = facts.RESOLUTION_C
 
     def __init__(
         self,
@@ -59,45 +51,11 @@ class EspecChamber:
         clock: Clock,
         limits: ChamberLimits,
         *,
-        identity: str = r"[EP]S?-?[123]\d\d|SCP-?220",
+        identity: str = facts.IDENTITY,
     ) -> None:
-        self.name = name
-        self.asks_person = False
-        self._session = ProvedSession(session, clock, self._prove)
-        self._limits = limits
-        self._identity_pattern = identity
-        self._identity = Identity("ESPEC", "")
-        self._target_c: float | None = None
+        super().__init__(name, session, clock, limits, identity=identity)
 
-    def open(self) -> Identity:
-        """Connect and prove the identity; the chamber goes on as it is.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
-
-    def close(self) -> None:
-        """Let the chamber go; it holds its temperature. Never raises, may be called twice."""
-        self._session.close()
-
-    def make_safe(self) -> str:
-        """Stop conditioning (MODE,STANDBY), as at the end of a run; nothing is left for a person to do.
-
-        Raises as `set_temperature`.
-        """
-        self._target_c = None
-        self._tell("MODE,STANDBY")
-        self._refuse_mode("STANDBY")
-        return ""
-
-    def set_temperature(self, target_c: float, key: str) -> None:
-        """Demand a temperature in constant operation and read it back, to 0.1 °C.
-
-        Raises `LimitExceeded` for the limits of the bench file and of the controller before anything is
-        set, `InstrumentRefused` for an alarm, a running program, or a demand not taken; `InstrumentLost`.
-        """
-        self._limits.check(self.name, target_c)
+    def _refuse_unready(self, target_c: float) -> None:
         self._refuse_alarms()
         self._refuse_program()
         _, _, high_c, low_c = self._temperatures()
@@ -107,29 +65,36 @@ class EspecChamber:
                 f"{target_c:g} °C is outside the controller's own limits, {low_c:g} to {high_c:g} °C",
                 "change the temperature in the procedure, or the limits on the controller",
             )
-        self._target_c = None
+
+    def _demand(self, target_c: float) -> None:
         self._tell(f"TEMP, S{target_c:.1f}")
-        refuse_other_set_point(self.name, self._temperatures()[1], target_c, _RESOLUTION_C)
-        self._tell("MODE,CONSTANT")
-        self._refuse_mode("CONSTANT")
-        self._target_c = target_c
 
-    def temperature(self, key: str, *, settling: bool = False) -> float:
-        """Return the temperature of the air, °C.
+    def _set_point_c(self) -> float:
+        return self._temperatures()[1]
 
-        Raises `InstrumentRefused` for an alarm, for an operation or set point that somebody changed, for
-        air out of band; `BadReading`, `InstrumentLost`.
-        """
+    def _start(self) -> None:
+        self._operate("CONSTANT")
+
+    def _stop(self) -> None:
+        self._operate("STANDBY")
+
+    def _operate(self, mode: str) -> None:
+        self._tell(f"MODE,{mode}")
+        shown = self._ask("MODE?", _MODE, "an operation such as CONSTANT")
+        if shown != mode:
+            raise self._other_mode(shown, mode)
+
+    def _air_c(self, target_c: float | None) -> float:
         reply = self._ask("MON?", _MONITOR, "temperature, humidity, mode and alarms such as 26.4,,CONSTANT,0")
         *_, mode, alarms = (field.strip() for field in reply.split(","))
         if int(alarms):
             self._refuse_alarms()
         air_c, set_point_c, _, _ = self._temperatures()
-        if self._target_c is not None:
+        if target_c is not None:
             if mode != "CONSTANT":
                 raise self._other_mode(mode, "CONSTANT")
-            refuse_other_set_point(self.name, set_point_c, self._target_c, _RESOLUTION_C)
-        return self._limits.in_band(self.name, air_c, None if settling else self._target_c)
+            self._refuse_other_set_point(set_point_c, target_c)
+        return air_c
 
     def _prove(self) -> None:
         fields = [
@@ -146,7 +111,7 @@ class EspecChamber:
         firmware = ""
         with contextlib.suppress(InstrumentRefused):
             firmware = self._ask("ROM?", r"[\x20-\x7e]+", "a firmware version")
-        self._identity = Identity("ESPEC", controller, firmware=firmware)
+        self._identity = Identity(facts.MAKER, controller, firmware=firmware)
 
     def _temperatures(self) -> tuple[float, float, float, float]:
         """Return what TEMP? answers: air, set point, upper and lower limit, °C."""
@@ -167,11 +132,6 @@ class EspecChamber:
         mode = self._ask("MODE?", _MODE, "an operation such as CONSTANT")
         if "RUN" in mode:
             raise self._other_mode(mode, "one that leaves the set point to the bench")
-
-    def _refuse_mode(self, wanted: str) -> None:
-        mode = self._ask("MODE?", _MODE, "an operation such as CONSTANT")
-        if mode != wanted:
-            raise self._other_mode(mode, wanted)
 
     def _other_mode(self, mode: str, wanted: str) -> InstrumentRefused:
         return InstrumentRefused(

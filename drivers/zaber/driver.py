@@ -3,38 +3,25 @@
 Each command carries a message number, which its reply repeats, so that a late reply is never taken for
 another's. Alerts are switched off; a line that comes between all the same (`!` alert, `#` information) ends
 the connection, and what was asked is asked again over a new one.
-Source: Zaber ASCII Protocol Manual, sections "Message Format", "Commands", "Device Settings", "Warning
-Flags", "Checksumming".
+Source: see its facts; section "Warning Flags".
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from drivers.interfaces import BadReading, Direction, HeadPosition, Identity, InstrumentRefused
-from drivers.motion import Mover, Travel
-from drivers.wire.proving import ProvedSession
-from drivers.wire.visa import SerialSettings
+from drivers.interfaces import BadReading, Identity, InstrumentRefused
+from drivers.motion import MotorisedHead, Travel
+from drivers.zaber import facts
+from drivers.zaber.facts import checksum
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.wire.visa import MessageSession
 
-READ_TERMINATION: Final = "\r\n"
-WRITE_TERMINATION: Final = "\n"
-SERIAL: Final = SerialSettings(
-    baud_rate=115200, data_bits=8, parity="none", stop_bits=1, flow="none", device_clear=b""
-)
-"""How a Zaber port speaks as delivered; the protocol knows no device clear."""
-
-SPEED_UNITS: Final = 1.6384
-"""The setting maxspeed is this many per microstep/s."""
-
-_MOST_STEPS: Final = 2**31 - 1
 _INTEGER: Final = r"-?\d{1,10}"
 _WORD: Final = r"[\w.-]+"
 _EXPECTED: Final = "a reply such as @01 0 07 OK IDLE -- 0, with the number of the command"
@@ -76,12 +63,7 @@ class _Reply:
     data: str
 
 
-def checksum(message: str) -> str:
-    """Return the LRC of a message without its type character: two's complement of the sum, two hex digits."""
-    return f"{-sum(message.encode('ascii')) & 0xFF:02X}"
-
-
-class ZaberHead:
+class ZaberHead(MotorisedHead):
     """A `DividingHead` on one axis of a Zaber device.
 
     `steps_per_degree` are the microsteps (encoder counts on a direct drive) per degree of the scale at the
@@ -100,17 +82,14 @@ class ZaberHead:
         travel: Travel,
         *,
         steps_per_degree: float,
-        resolution: int = 64,
+        resolution: int = facts.RESOLUTION,
         device: int = 1,
         axis: int = 1,
-        identity: str = r"\d+",
+        identity: str = facts.IDENTITY,
         allow_homing: bool = False,
         checksums: bool = False,
     ) -> None:
-        self.name = name
-        self._session = ProvedSession(session, clock, self._prove)
-        self._travel = travel
-        self._mover = Mover(name, self, travel, clock)
+        super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, ""))
         self._steps_per_degree = _checked(steps_per_degree, travel)
         self._resolution = resolution
         self._device = device
@@ -119,32 +98,6 @@ class ZaberHead:
         self._allow_homing = allow_homing
         self._checksums = checksums
         self._number = 0
-        self._identity = Identity("Zaber", "")
-
-    # --- the head -----------------------------------------------------------------------------------
-
-    def open(self) -> Identity:
-        """Connect, prove device id, resolution and speed; nothing moves.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
-
-    def close(self) -> None:
-        """Stop and let the head go. Never raises, may be called twice."""
-        if self._session.opened:
-            with contextlib.suppress(Exception):
-                self.stop()
-        self._session.close()
-
-    def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
-        """Turn to `target_rad` from the demanded side; return the angle read back.
-
-        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` for a warning flag, a rejected
-        command or a head that does not arrive, `InstrumentLost`, `BadReading`. The motion is stopped then.
-        """
-        return self._mover.move(target_rad, direction)
 
     # --- the axis -----------------------------------------------------------------------------------
 
@@ -220,7 +173,7 @@ class ZaberHead:
                 "set the one or the other right",
             )
         speed_deg_s = math.degrees(self._travel.speed_rad_s)
-        speed = round(speed_deg_s * abs(self._steps_per_degree) * SPEED_UNITS)
+        speed = round(speed_deg_s * abs(self._steps_per_degree) * facts.SPEED_UNITS)
         self._ask(f"set maxspeed {speed}")
         taken = int(self._ask("get maxspeed", _INTEGER).data)
         if taken != speed:
@@ -230,7 +183,7 @@ class ZaberHead:
                 "choose a speed in the bench file that the stage can have",
             )
         serial, version = self._if_known("get system.serial"), self._if_known("get version")
-        self._identity = Identity("Zaber", device_id, serial, version)
+        self._identity = Identity(facts.MAKER, device_id, serial, version)
 
     def _if_known(self, text: str) -> str:
         """Ask what older firmware does not know; return nothing then."""
@@ -252,7 +205,7 @@ class ZaberHead:
         if not urgent:
             self._session.ensure_proved()
         addressed = self._axis if axis is None else axis
-        self._number = self._number % 99 + 1
+        self._number = self._number % facts.MOST_NUMBERS + 1
         message = f"{self._device} {addressed} {self._number:02d} {text}".rstrip()
         if self._checksums:
             message += f":{checksum(message)}"
@@ -308,9 +261,10 @@ def _checked(steps_per_degree: float, travel: Travel) -> float:
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
         raise ValueError(f"the head needs a number of steps per degree, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))
-    if farthest_deg * abs(steps_per_degree) > _MOST_STEPS:
+    if farthest_deg * abs(steps_per_degree) > facts.MOST_STEPS:
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree the limits of the head are more than {_MOST_STEPS} steps"
+            f"at {steps_per_degree:g} steps per degree the limits of the head are more than "
+            f"{facts.MOST_STEPS} steps"
         )
     if 0.5 / abs(steps_per_degree) > math.degrees(travel.tolerance_rad):
         raise ValueError(

@@ -9,41 +9,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
+from drivers.agilent_34401a.facts import OVERLOAD_V
+
 if TYPE_CHECKING:
+    from types import ModuleType
+
     import numpy as np
 
     from sim.agilent_34401a.functions import Function, FunctionSettings
 
 Accuracy = Literal["90 days"]
-
-OVERLOAD: Final = 9.9e37
-
-_OVER_RANGE: Final = 1.2
-_UNDER_RANGE: Final = 0.1
-_NO_OVER_RANGE_V: Final = (300.0, 1000.0)
-
-_SPEC_90_DAYS: Final = {
-    0.1: (40e-6, 35e-6),
-    1.0: (30e-6, 7e-6),
-    10.0: (20e-6, 5e-6),
-    100.0: (35e-6, 6e-6),
-    300.0: (35e-6, 20e-6),
-    1000.0: (35e-6, 10e-6),
-}
-"""Limits of error of DC volts, 23 ± 5 °C: fractions of the reading and of the range."""
-
-_TEMPERATURE_COEFFICIENT: Final = {
-    0.1: (5e-6, 5e-6),
-    1.0: (5e-6, 1e-6),
-    10.0: (5e-6, 1e-6),
-    100.0: (5e-6, 1e-6),
-    300.0: (5e-6, 3e-6),
-    1000.0: (5e-6, 1e-6),
-}
-"""What each °C outside 23 ± 5 °C adds to the limits, fractions of the reading and of the range."""
-
-_REFERENCE_C: Final = 23.0
-_REFERENCE_WIDTH_C: Final = 5.0
 
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
@@ -116,7 +91,7 @@ class Measurement(Protocol):
 
 
 class Converter:
-    """Turns the voltage at the terminals into readings.
+    """Turns the voltage at the terminals into readings, as the `facts` of a meter say of its ranges and errors.
 
     With `noise` a sample has white noise by its integration time and is rounded to the resolution; without,
     it is the exact value (a reply still carries 8 decimals). With `accuracy` the meter has a gain and an
@@ -127,9 +102,16 @@ class Converter:
     """
 
     def __init__(
-        self, source: MeteredSignal, *, noise: bool, accuracy: Accuracy | None, line_hz: float
+        self,
+        source: MeteredSignal,
+        facts: ModuleType,
+        *,
+        noise: bool,
+        accuracy: Accuracy | None,
+        line_hz: float,
     ) -> None:
         self._source = source
+        self._facts = facts
         self._noise = noise
         self._accuracy = accuracy
         self._line_hz = line_hz
@@ -170,17 +152,17 @@ class Converter:
         self._generator = self._source.random("voltmeter noise") if self._noise else None
 
     def sample(self, configuration: Measurement, time_s: float) -> float:
-        """Return one sample of the selected function, taken at `time_s`; ±`OVERLOAD` outside the range.
+        """Return one sample of the selected function, taken at `time_s`; ±`OVERLOAD_V` outside the range.
 
         Autorange changes the range in the settings, as on the meter.
         """
         if self.overloaded:
-            return OVERLOAD
+            return OVERLOAD_V
         match configuration.function.name:
             case "VOLT":
                 return self._volts(configuration, self._source.signal_v(time_s))
             case "RES" | "FRES" | "CONT" | "DIOD" | "VOLT:RAT":
-                return OVERLOAD
+                return OVERLOAD_V
             case _:
                 return 0.0
 
@@ -192,15 +174,15 @@ class Converter:
     def _volts(self, configuration: Measurement, signal_v: float) -> float:
         settings = configuration.settings
         if settings.autorange:
-            settings.range_value = _autorange(signal_v, settings.range_value, configuration.function.ranges)
+            settings.range_value = self._autorange(signal_v, settings.range_value)
         range_v = settings.range_value
-        if abs(signal_v) > _full_scale(range_v):
-            return math.copysign(OVERLOAD, signal_v)
+        if abs(signal_v) > self._full_scale(range_v):
+            return math.copysign(OVERLOAD_V, signal_v)
         value_v = self._with_errors(signal_v, range_v)
         if self._generator is None:
             return value_v
         nplc = configuration.nplc
-        sigma_v = math.hypot(_NOISE_OF_RANGE[nplc] * range_v, _NOISE_OF_INPUT_V / math.sqrt(nplc))
+        sigma_v = math.hypot(_noise_of_range(nplc) * range_v, _NOISE_OF_INPUT_V / math.sqrt(nplc))
         step_v = self.step(configuration)
         return round((value_v + sigma_v * float(self._generator.standard_normal())) / step_v) * step_v
 
@@ -209,31 +191,42 @@ class Converter:
             return signal_v
         if range_v not in self._errors:
             draws = self._source.fixed_random(f"voltmeter accuracy {range_v:g} V").uniform(-0.5, 0.5, 4)
-            limits = (*_SPEC_90_DAYS[range_v], *_TEMPERATURE_COEFFICIENT[range_v])
+            limits = (*self._facts.ACCURACY_90_DAYS[range_v], *self._facts.TEMPERATURE_COEFFICIENT[range_v])
             gain, offset, gain_per_c, offset_per_c = (
                 float(d * m) for d, m in zip(draws, limits, strict=True)
             )
             self._errors[range_v] = (gain, offset, gain_per_c, offset_per_c)
         gain, offset, gain_per_c, offset_per_c = self._errors[range_v]
-        from_reference_c = self._source.temperature_c - _REFERENCE_C
-        outside_c = math.copysign(max(0.0, abs(from_reference_c) - _REFERENCE_WIDTH_C), from_reference_c)
+        from_reference_c = self._source.temperature_c - self._facts.REFERENCE_C
+        beyond_c = max(0.0, abs(from_reference_c) - self._facts.REFERENCE_WIDTH_C)
+        outside_c = math.copysign(beyond_c, from_reference_c)
         gain += gain_per_c * outside_c
         offset += offset_per_c * outside_c
         return signal_v * (1.0 + gain) + range_v * offset
 
+    def _full_scale(self, range_v: float) -> float:
+        highest_v: float = self._facts.RANGES_V[-1]
+        return range_v if range_v == highest_v else range_v * float(self._facts.OVER_RANGE)
 
-def _full_scale(range_v: float) -> float:
-    return range_v if range_v in _NO_OVER_RANGE_V else range_v * _OVER_RANGE
+    def _autorange(self, signal_v: float, range_v: float) -> float:
+        """Return the range for a signal: up where the present one is exceeded, down far below it."""
+        ranges: tuple[float, ...] = self._facts.RANGES_V
+        if abs(signal_v) > self._full_scale(range_v):
+            return next((r for r in ranges if abs(signal_v) <= self._full_scale(r)), ranges[-1])
+        index = ranges.index(range_v)
+        while index > 0 and abs(signal_v) < self._facts.UNDER_RANGE * ranges[index]:
+            index -= 1
+        return ranges[index]
 
 
-def _autorange(signal_v: float, range_v: float, ranges: tuple[float, ...]) -> float:
-    """Return the range for a signal: up above 120 % of the present one, down below 10 %."""
-    if abs(signal_v) > _full_scale(range_v):
-        return next((r for r in ranges if abs(signal_v) <= _full_scale(r)), ranges[-1])
-    index = ranges.index(range_v)
-    while index > 0 and abs(signal_v) < _UNDER_RANGE * ranges[index]:
-        index -= 1
-    return ranges[index]
+def _noise_of_range(nplc: float) -> float:
+    """Return the noise as a fraction of the range; between the integration times of the table by its slope."""
+    if nplc in _NOISE_OF_RANGE:
+        return _NOISE_OF_RANGE[nplc]
+    points = sorted((math.log(n), math.log(noise)) for n, noise in _NOISE_OF_RANGE.items())
+    upper = next((i for i, (x, _) in enumerate(points) if x > math.log(nplc)), len(points) - 1)
+    (x0, y0), (x1, y1) = points[max(0, upper - 1)], points[max(1, upper)]
+    return math.exp(y0 + (y1 - y0) * (math.log(nplc) - x0) / (x1 - x0))
 
 
 def reading_text(value: float, step: float) -> str:

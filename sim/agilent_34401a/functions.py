@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from drivers.agilent_34401a.facts import NPLC_BY_RESOLUTION
+from drivers.agilent_34401a.facts import RANGES_V as _DC_V
 from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import (
@@ -28,9 +30,6 @@ from sim.scpi.values import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-NPLC_BY_RESOLUTION: Final = {3e-7: 100.0, 1e-6: 10.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02}
-"""Integration in power-line cycles for each resolution, as a fraction of the range (chapter 8)."""
 
 _APERTURE_S_BY_RESOLUTION: Final = {1e-6: 1.0, 1e-5: 0.1, 1e-4: 0.01}
 _DISPLAY_ONLY: Final = {1e-6: 0.0, 1e-5: 0.0, 1e-4: 0.0}
@@ -72,7 +71,6 @@ class Function:
         return 1e-5 if self.has_aperture else 1e-6
 
 
-_DC_V: Final = (0.1, 1.0, 10.0, 100.0, 1000.0)
 _AC_V: Final = (0.1, 1.0, 10.0, 100.0, 750.0)
 _OHM: Final = (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
 
@@ -195,9 +193,9 @@ class Configuration:
             Command("[SENSe:]FUNCtion?", lambda: quoted(self.function.name)),
             Command("[SENSe:]DETector:BANDwidth", self._set_bandwidth, (Number("HZ"),)),
             Command("[SENSe:]DETector:BANDwidth?", self._bandwidth, (Number(optional=True),)),
-            Command("[SENSe:]ZERO:AUTO", self._set_autozero, (Boolean(("ONCE",)),)),
+            Command("[SENSe:]ZERO:AUTO", self.set_autozero, (Boolean(("ONCE",)),)),
             Command("[SENSe:]ZERO:AUTO?", lambda: str(int(self.autozero))),
-            Command("INPut:IMPedance:AUTO", self._set_high_impedance, (Boolean(),)),
+            Command("INPut:IMPedance:AUTO", self.set_high_impedance, (Boolean(),)),
             Command("INPut:IMPedance:AUTO?", lambda: str(int(self.high_impedance))),
         ]
         for function in FUNCTIONS.values():
@@ -287,12 +285,14 @@ class Configuration:
         limits = {MIN: _BANDWIDTHS_HZ[0], MAX: _BANDWIDTHS_HZ[-1]}
         return f"{limits.get(word, self.bandwidth_hz):+.6E}"
 
-    def _set_autozero(self, flag: str) -> None:
+    def set_autozero(self, flag: str) -> None:
+        """ZERO:AUTO."""
         # ONCE takes one zero reading and then leaves autozero off.
         self.autozero = flag == "1"
         self._on_change()
 
-    def _set_high_impedance(self, flag: str) -> None:
+    def set_high_impedance(self, flag: str) -> None:
+        """IMPedance:AUTO."""
         self.high_impedance = flag == "1"
 
 

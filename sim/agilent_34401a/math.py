@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from sim.agilent_34401a.converter import OVERLOAD
+from drivers.agilent_34401a.facts import OVERLOAD_V
 from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import MIN, Boolean, Choice, Number, Value, integer, next_above, within
@@ -65,7 +65,7 @@ class Math:
         """Return what the operation makes of one reading; an overload passes through."""
         if not self.enabled:
             return value
-        if abs(value) >= OVERLOAD:
+        if abs(value) >= OVERLOAD_V:
             if self.operation == "NULL" and self._null_offset is None:
                 self._on_event(540, 0)
             return value

@@ -9,11 +9,13 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
+from drivers.agilent_34401a import facts
 from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal
 from sim.agilent_34401a.functions import FUNCTIONS, Configuration, Function
+from sim.agilent_34401a.line import VOLT_OVERLOAD, Interface, LineMeter
 from sim.agilent_34401a.math import Math
 from sim.agilent_34401a.trigger import Trigger
-from sim.scpi.instrument import Command, ScpiInstrument
+from sim.scpi.instrument import Command
 from sim.scpi.status import DEVICE_ERROR, ScpiError
 from sim.scpi.values import (
     DEF,
@@ -32,46 +34,31 @@ from sim.scpi.values import (
 if TYPE_CHECKING:
     from drivers.clock import Clock
 
-Interface = Literal["gpib", "rs232", "lan"]
-
-IDENTITY: Final = "HEWLETT-PACKARD,34401A,0,11-5-2"
-
 _ERRORS: Final = {
-    514: "Command allowed only with RS-232",
-    521: "Input buffer overflow",
-    522: "Output buffer overflow",
     531: "Insufficient memory",
-    532: "Cannot achieve requested resolution",
     540: "Cannot use overload as math reference",
-    550: "Command not allowed in local",
     702: "Cal secured",
     703: "Invalid secure code",
 }
 
-_REMOTE_COMMANDS: Final = ("SYSTem:LOCal", "SYSTem:REMote", "SYSTem:RWLock")
-_ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS", "*ESR?", "*STB?")
-
-_VOLT_OVERLOAD: Final = 1
 _CURRENT_OVERLOAD: Final = 2
 _OHMS_OVERLOAD: Final = 512
 
-_SCPI_VERSION: Final = "1994.0"
 _DISPLAY_WIDTH: Final = 12
 _SECURITY_CODE: Final = "HP034401"
 _CALIBRATION_COUNT: Final = 12
 
 
-class Agilent34401A(ScpiInstrument):
+class Agilent34401A(LineMeter):
     """The meter: settings, trigger system, status; `source` is what it is wired to, `clock` its time.
 
-    `interface` is what it believes to be connected by: "rs232" refuses (+550) all but identification,
-    errors and SYSTem:REMote until that was sent, "gpib" refuses the SYSTem:REMote family (+514), "lan" takes
-    both and needs neither. `noise` False gives exact values: no noise and no rounding to the resolution.
+    `interface` is as of a `LineMeter`. `noise` False gives exact values: no noise, no rounding to the resolution.
     `accuracy` "90 days" gives it a gain, an offset and a temperature coefficient of its own within that
     specification. `terminals` is the front panel's switch.
     """
 
-    model = "34401A"
+    model = facts.MODELS[0]
+    beside_measuring = ("INITiate[:IMMediate]",)
     _trigger_type: type[Trigger] = Trigger
 
     def __init__(
@@ -85,14 +72,13 @@ class Agilent34401A(ScpiInstrument):
         line_hz: float = 50.0,
         terminals: Literal["front", "rear"] = "front",
     ) -> None:
-        super().__init__(IDENTITY, _ERRORS)
-        self.interface = interface
+        super().__init__(facts.IDENTITY, _ERRORS, interface)
         self.terminals = terminals
         self.beeper_enabled = True
         self._calibration_secured = True
         self.configuration = Configuration(self._configuration_changed)
         self.math = Math(lambda: self.configuration.function, self._note)
-        self._converter = Converter(source, noise=noise, accuracy=accuracy, line_hz=line_hz)
+        self._converter = Converter(source, facts, noise=noise, accuracy=accuracy, line_hz=line_hz)
         self.trigger = self._trigger_type(
             clock,
             self.configuration,
@@ -101,8 +87,6 @@ class Agilent34401A(ScpiInstrument):
             self._overload,
             self.device_clear_pending,
         )
-        self._remote = False
-        self._locked = False
         self._clear_text()
         self.display_on = True
         for part in (self.configuration, self.trigger, self.math):
@@ -113,19 +97,15 @@ class Agilent34401A(ScpiInstrument):
 
     # --- what the wire and the bench do -------------------------------------------------------------
 
-    def admit(self, command: Command) -> None:
-        """Refuse what the interface does not allow, and wait for a measurement under way."""
-        remote = command.notation in _REMOTE_COMMANDS
-        if self.interface == "gpib" and remote:
-            raise ScpiError(514)
-        if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
-            raise ScpiError(550)
-        if command.notation != "INITiate[:IMMediate]":
-            self.trigger.complete()
+    @property
+    def cycle(self) -> Trigger:
+        """Its trigger system."""
+        return self.trigger
 
-    def device_clear(self) -> None:
-        """Stop measuring and go to idle; settings, errors and status stay."""
-        self.trigger.abort()
+    @property
+    def converters(self) -> tuple[Converter]:
+        """Its one converter."""
+        return (self._converter,)
 
     def external_trigger(self) -> None:
         """Give a pulse at the Ext Trig terminal; one that is not waited for is ignored (-211)."""
@@ -135,10 +115,6 @@ class Agilent34401A(ScpiInstrument):
         except ScpiError as error:
             self.report(error.number)
 
-    def input_overflow(self) -> None:
-        """Take note that a message was longer than the input buffer."""
-        self.report(521)
-
     def reset(self) -> None:
         """*RST: DC volts, autorange, 10 PLC, one immediate trigger; errors and masks stay."""
         self.trigger.abort()
@@ -147,28 +123,6 @@ class Agilent34401A(ScpiInstrument):
         self.math.preset()
         self.display_on = True
         self._clear_text()
-
-    def power_cycle(self) -> None:
-        """Switch off and on: all but beeper, power-on clear, dBm reference and calibration is lost."""
-        super().power_cycle()
-        self._set_remote(False)
-
-    def press_local(self) -> None:
-        """Press LOCAL (Shift) on the front panel: an RS-232 meter refuses commands until SYSTem:REMote.
-
-        Locked by SYSTem:RWLock the key does nothing.
-        """
-        if not self._locked:
-            self._remote = False
-
-    @property
-    def overloaded(self) -> bool:
-        """Whether the voltage at the terminals is beyond every range, whatever the source says."""
-        return self._converter.overloaded
-
-    @overloaded.setter
-    def overloaded(self, overloaded: bool) -> None:
-        self._converter.overloaded = overloaded
 
     @property
     def display_text(self) -> str:
@@ -190,7 +144,7 @@ class Agilent34401A(ScpiInstrument):
         """An overload is seen in the registers only: it is not an error of the queue."""
         unit = self.configuration.function.unit
         bits = {"A": _CURRENT_OVERLOAD, "OHM": _OHMS_OVERLOAD}
-        self.status.questionable |= bits.get(unit, _VOLT_OVERLOAD)
+        self.status.questionable |= bits.get(unit, VOLT_OVERLOAD)
         self.status.event |= DEVICE_ERROR
 
     # --- CONFigure and MEASure ----------------------------------------------------------------------
@@ -231,10 +185,6 @@ class Agilent34401A(ScpiInstrument):
             Command("SYSTem:BEEPer", _beep),
             Command("SYSTem:BEEPer:STATe", self._set_beeper, (Boolean(),)),
             Command("SYSTem:BEEPer:STATe?", lambda: str(int(self.beeper_enabled))),
-            Command("SYSTem:VERSion?", lambda: _SCPI_VERSION),
-            Command("SYSTem:LOCal", lambda: self._set_remote(False)),
-            Command("SYSTem:REMote", lambda: self._set_remote(True)),
-            Command("SYSTem:RWLock", lambda: self._set_remote(True, locked=True)),
         ]
 
     def _calibration_commands(self) -> list[Command]:
@@ -262,10 +212,6 @@ class Agilent34401A(ScpiInstrument):
 
     def _set_beeper(self, flag: str) -> None:
         self.beeper_enabled = flag == "1"
-
-    def _set_remote(self, remote: bool, locked: bool = False) -> None:
-        self._remote = remote
-        self._locked = locked
 
     def _refuse_calibration(self, _value: Value = "") -> str | None:
         raise ScpiError(702)

@@ -1,52 +1,42 @@
 """The trigger system and the reading memory of a simulated 34401A.
 
-Idle, INITiate or READ?, wait for a trigger, delay, sample. Time is that of an injected clock: initiating
-only fixes when each sample is taken, and whoever needs the result waits for the last one.
+Idle, INITiate or READ?, wait for a trigger, delay, sample.
 Source: 34401A User's Guide (34401-90004), chapter 3 "Triggering", chapter 4 "The Trigger Model".
 """
 
 from __future__ import annotations
 
 import math
-from enum import Enum
 from typing import TYPE_CHECKING, Final
 
-from sim.agilent_34401a.converter import OVERLOAD, reading_text
-from sim.scpi.instrument import Command, DeviceClear
+from drivers.agilent_34401a.facts import MEMORY_READINGS, OVERLOAD_V
+from sim.agilent_34401a.converter import reading_text
+from sim.agilent_34401a.cycle import MeasuringCycle, TriggerState
+from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import INF, MAX, MIN, Boolean, Choice, Number, Text, Value, integer, quoted, within
-from sim.world.clock import wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from drivers.clock import Clock
     from sim.agilent_34401a.converter import Converter
     from sim.agilent_34401a.functions import Configuration
     from sim.agilent_34401a.math import Math
 
-MEMORY_DEPTH: Final = 512
 _MOST_READINGS: Final = 50_000
 _LONGEST_DELAY_S: Final = 3600.0
 _INFINITE: Final = "9.90000000E+37"
 
 
-class TriggerState(Enum):
-    """Where the trigger system stands."""
-
-    IDLE = "idle"
-    WAITING = "waiting for a trigger"
-    MEASURING = "measuring"
-
-
-class Trigger:
+class Trigger(MeasuringCycle):
     """Trigger settings, the measurement under way, and the memory.
 
     `on_overload` is told of each reading outside the range, `interrupted` whether a device clear has come in.
     A later model has a memory of its own depth, which keeps the latest readings, those of READ? as well.
     """
 
-    memory_depth = MEMORY_DEPTH
+    memory_depth = MEMORY_READINGS
     most_readings = _MOST_READINGS
     keeps_latest = False
 
@@ -59,14 +49,12 @@ class Trigger:
         on_overload: Callable[[], None],
         interrupted: Callable[[], bool],
     ) -> None:
-        self._clock = clock
         self._configuration = configuration
         self._converter = converter
         self._math = math_operation
         self._on_overload = on_overload
-        self._interrupted = interrupted
-        self.preset()
-        self.abort()
+        self._times_s: list[float] = []
+        super().__init__(clock, interrupted)
 
     def preset(self) -> None:
         """Set what *RST, CONFigure and MEASure set: one immediate trigger, one sample, automatic delay."""
@@ -78,13 +66,8 @@ class Trigger:
 
     def abort(self) -> None:
         """Go to idle and forget what is stored or under way."""
-        self.state = TriggerState.IDLE
-        self._memory: list[str] = []
-        self._readings: list[str] = []
-        self._times_s: list[float] = []
-        self._finish_s = 0.0
-        self._triggers_left: float = 0
-        self._keeps = False
+        super().abort()
+        self._times_s = []
 
     # --- measuring ----------------------------------------------------------------------------------
 
@@ -110,54 +93,13 @@ class Trigger:
         if self.source == "BUS":
             raise ScpiError(-214)
         self._begin(keeps=self.keeps_latest)
-        if self.state is TriggerState.WAITING:
-            return None
-        self.complete()
-        return ",".join(self._readings)
-
-    def fetch(self) -> str:
-        """FETCh?: return what is in memory. Raises `ScpiError` -230 when there is nothing."""
-        if not self._memory:
-            raise ScpiError(-230)
-        return ",".join(self._memory)
-
-    def trigger(self, source: str) -> None:
-        """Take the samples of one trigger from "BUS" or "EXT"; -211 when the meter does not wait for it."""
-        if self.state is not TriggerState.WAITING or self.source != source:
-            raise ScpiError(-211)
-        self._schedule(1)
-
-    def complete(self) -> None:
-        """Wait for the measurement under way, if any. Raises `DeviceClear` when one comes in meanwhile."""
-        if self.state is not TriggerState.MEASURING:
-            return
-        if not wait_until(self._clock, self._finish_s, self._interrupted):
-            raise DeviceClear
-        self._collect()
-
-    @property
-    def in_progress(self) -> bool:
-        """Whether samples are still being taken at this moment."""
-        return self.state is TriggerState.MEASURING and self._clock.now_s() < self._finish_s
-
-    def _require_idle(self) -> None:
-        if self.state is TriggerState.MEASURING and not self.in_progress:
-            self._collect()
-        if self.state is not TriggerState.IDLE:
-            raise ScpiError(-213)
+        return self._outcome()
 
     def _begin(self, keeps: bool) -> None:
         if self.trigger_count * self.sample_count > self.most_readings:
             raise ScpiError(522)
-        self._memory = []
-        self._readings = []
-        self._keeps = keeps
-        self._triggers_left = self.trigger_count
         self._converter.begin()
-        if self.source == "IMM":
-            self._schedule(int(self.trigger_count))
-        else:
-            self.state = TriggerState.WAITING
+        self._start(self.trigger_count, keeps=keeps)
 
     def _schedule(self, triggers: int) -> None:
         """Fix when the samples of the next triggers are taken: each after its delay, in mid-integration."""
@@ -168,22 +110,17 @@ class Trigger:
         middle_s = delay_s + self._converter.integration_s(configuration) / 2.0
         samples = triggers * self.sample_count
         self._times_s = [start_s + i * step_s + middle_s for i in range(samples)]
-        self._finish_s = start_s + samples * step_s
-        self._triggers_left -= triggers
-        self.state = TriggerState.MEASURING
+        self._measures_until(start_s + samples * step_s, triggers)
 
-    def _collect(self) -> None:
+    def _taken(self) -> Iterator[str]:
         """Take the samples that are due: the source knows what the signal was at their times."""
         for time_s in self._times_s:
             value = self._math.apply(self._converter.sample(self._configuration, time_s))
-            if abs(value) >= OVERLOAD:
+            if abs(value) >= OVERLOAD_V:
                 self._on_overload()
             step = 0.0 if self._math.enabled else self._converter.step(self._configuration)
-            self._readings.append(reading_text(value, step))
-        if self._keeps:
-            self._memory = self._readings[-self.memory_depth :]
+            yield reading_text(value, step)
         self._times_s = []
-        self.state = TriggerState.WAITING if self._triggers_left > 0 else TriggerState.IDLE
 
     def _delay_s(self) -> float:
         return self._converter.settling_s(self._configuration) if self.delay_s is None else self.delay_s

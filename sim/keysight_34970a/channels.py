@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
+from drivers.keysight_34970a import facts
 from sim.agilent_34401a.functions import Function, FunctionSettings, chosen_range, chosen_resolution
 from sim.scpi.status import ScpiError
 from sim.scpi.values import DEF, Number, Value, within
@@ -19,16 +20,10 @@ if TYPE_CHECKING:
 
     from sim.agilent_34401a.converter import MeteredSignal
 
-NPLC_BY_RESOLUTION: Final = {
-    2.2e-7: 200.0, 3e-7: 100.0, 8e-7: 20.0, 1e-6: 10.0, 2.2e-6: 2.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02,
-}  # fmt: skip
-"""Integration in power-line cycles for each resolution, as a fraction of the range."""
-
 DC_VOLTS: Final = Function(
-    "VOLT", "VOLTage[:DC]", "V", (0.1, 1.0, 10.0, 100.0, 300.0), NPLC_BY_RESOLUTION, "VOLTage[:DC]"
+    "VOLT", "VOLTage[:DC]", "V", facts.RANGES_V, facts.NPLC_BY_RESOLUTION, "VOLTage[:DC]"
 )
-CARDS: Final = {"34901A": range(1, 23)}
-LONGEST_DELAY_S: Final = 60.0
+CARDS: Final = {facts.CARD: (*facts.CARD_CHANNELS, *facts.CURRENT_CHANNELS)}
 
 WRONG_LIST: Final = 309
 NO_MODULE: Final = 302
@@ -108,7 +103,7 @@ class ChannelConfiguration:
     @property
     def nplc(self) -> float:
         """Integration in power-line cycles."""
-        return NPLC_BY_RESOLUTION[self.settings.resolution]
+        return facts.NPLC_BY_RESOLUTION[self.settings.resolution]
 
     @property
     def delay_s(self) -> float:
@@ -128,7 +123,7 @@ class ChannelConfiguration:
 
     def set_delay(self, delay_s: float) -> None:
         """Set the channel delay, s, in steps of 1 ms. Raises `ScpiError` -222."""
-        self.stated_delay_s = round(within(delay_s, 0.0, LONGEST_DELAY_S), 3)
+        self.stated_delay_s = round(within(delay_s, 0.0, facts.LONGEST_CHANNEL_DELAY_S), 3)
 
 
 class CardInput:

@@ -9,18 +9,19 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
+from drivers.keysight_34970a import facts
 from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal
+from sim.agilent_34401a.line import VOLT_OVERLOAD, Interface, LineMeter
 from sim.keysight_34970a.channels import (
     CARDS,
     DC_VOLTS,
-    LONGEST_DELAY_S,
     CardInput,
     ChannelConfiguration,
     ChannelList,
     listed,
 )
 from sim.keysight_34970a.scan import Scan
-from sim.scpi.instrument import Command, ScpiInstrument
+from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import (
     DEF,
@@ -42,37 +43,26 @@ if TYPE_CHECKING:
 
     from drivers.clock import Clock
 
-Interface = Literal["gpib", "rs232", "lan"]
 Model = Literal["34970A", "34972A"]
 
-IDENTITIES: Final[dict[Model, str]] = {
-    "34970A": "HEWLETT-PACKARD,34970A,0,13-2-2",
-    "34972A": "Agilent Technologies,34972A,MY49000001,1.16-1.12-02-02",
-}
-_SLOTS: Final = (100, 200, 300)
+_SLOTS: Final = tuple(100 * slot for slot in facts.SLOTS)
 _ERRORS: Final = {
     302: "No module was detected in this slot",
     304: "Does not exist",
     305: "Not able to perform requested operation",
     309: "Incorrectly formatted channel list",
-    514: "Command allowed only with RS-232",
-    521: "Input buffer overflow",
-    532: "Cannot achieve requested resolution",
-    550: "Command not allowed in local",
 }
-_REMOTE_COMMANDS: Final = ("SYSTem:LOCal", "SYSTem:REMote", "SYSTem:RWLock")
-_ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS", "*ESR?", "*STB?")
-_RUNS_BESIDE_A_SCAN: Final = ("INITiate", "ABORt")
-_VOLT_OVERLOAD: Final = 1
 
 
-class Keysight34970A(ScpiInstrument):
+class Keysight34970A(LineMeter):
     """The meter. `wiring` says what is at which channel, `{101: world.terminals("x"), …}`.
 
     `cards` holds the card of each slot that is not empty. `interface`, `noise` and `accuracy` are as for the
     34401A; gain and offset are those of the one converter, the same for all channels. Raises `ValueError`
     for wiring that the cards do not have.
     """
+
+    beside_measuring = ("INITiate", "ABORt")
 
     def __init__(
         self,
@@ -86,10 +76,9 @@ class Keysight34970A(ScpiInstrument):
         accuracy: Accuracy | None = None,
         line_hz: float = 50.0,
     ) -> None:
-        super().__init__(IDENTITIES[model], _ERRORS)
+        super().__init__(facts.IDENTITIES[model], _ERRORS, interface)
         self.model = model
-        self.interface = interface
-        self.cards = {100: "34901A"} if cards is None else dict(cards)
+        self.cards = {_SLOTS[0]: facts.CARD} if cards is None else dict(cards)
         numbers = [slot + number for slot, card in self.cards.items() for number in CARDS[card]]
         if not wiring or not set(wiring) <= set(numbers):
             raise ValueError(f"channels {sorted(wiring)} are not on the cards {self.cards}")
@@ -98,13 +87,16 @@ class Keysight34970A(ScpiInstrument):
             number: (
                 ChannelConfiguration(),
                 Converter(
-                    CardInput(wiring.get(number), common), noise=noise, accuracy=accuracy, line_hz=line_hz
+                    CardInput(wiring.get(number), common),
+                    facts,
+                    noise=noise,
+                    accuracy=accuracy,
+                    line_hz=line_hz,
                 ),
             )
             for number in numbers
         }
         self._closed: set[int] = set()
-        self._remote = False
         self.scan = Scan(clock, self._channels, self._overload, self.device_clear_pending)
         for lines in (self.scan.commands(), self._measure_commands(), self._sense_commands()):
             self.add(lines)
@@ -113,22 +105,15 @@ class Keysight34970A(ScpiInstrument):
 
     # --- what the wire and the bench do -------------------------------------------------------------
 
-    def admit(self, command: Command) -> None:
-        """Refuse what the interface does not allow, and wait for a scan under way."""
-        if self.interface == "gpib" and command.notation in _REMOTE_COMMANDS:
-            raise ScpiError(514)
-        if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
-            raise ScpiError(550)
-        if command.notation not in _RUNS_BESIDE_A_SCAN:
-            self.scan.complete()
+    @property
+    def cycle(self) -> Scan:
+        """Its scan."""
+        return self.scan
 
-    def device_clear(self) -> None:
-        """Stop scanning and go to idle; settings, errors and status stay."""
-        self.scan.abort()
-
-    def input_overflow(self) -> None:
-        """Take note that a message was longer than the input buffer."""
-        self.report(521)
+    @property
+    def converters(self) -> list[Converter]:
+        """Its one converter, as each channel has it."""
+        return [converter for _, converter in self._channels.values()]
 
     def reset(self) -> None:
         """*RST: all channels as shipped, relays open, an empty scan list; errors and masks stay."""
@@ -139,28 +124,9 @@ class Keysight34970A(ScpiInstrument):
         for configuration, _ in self._channels.values():
             configuration.preset()
 
-    def power_cycle(self) -> None:
-        """Switch off and on: the settings are gone."""
-        super().power_cycle()
-        self._remote = False
-
-    def press_local(self) -> None:
-        """Press LOCAL on the front panel: an RS-232 meter refuses commands until SYSTem:REMote."""
-        self._remote = False
-
-    @property
-    def overloaded(self) -> bool:
-        """Whether the voltage at every channel is beyond every range, whatever the sources say."""
-        return any(converter.overloaded for _, converter in self._channels.values())
-
-    @overloaded.setter
-    def overloaded(self, overloaded: bool) -> None:
-        for _, converter in self._channels.values():
-            converter.overloaded = overloaded
-
     def _overload(self) -> None:
         """An overload is seen in the questionable data register only."""
-        self.status.questionable |= _VOLT_OVERLOAD
+        self.status.questionable |= VOLT_OVERLOAD
 
     # --- CONFigure and MEASure ----------------------------------------------------------------------
 
@@ -214,7 +180,7 @@ class Keysight34970A(ScpiInstrument):
             channel.settings.resolution = by_integration[next_above(wanted, accepted)]
 
         def set_delay(channel: ChannelConfiguration, value: Value) -> None:
-            limits = {MIN: 0.0, MAX: LONGEST_DELAY_S}
+            limits = {MIN: 0.0, MAX: facts.LONGEST_CHANNEL_DELAY_S}
             channel.set_delay(limits[value] if isinstance(value, str) else value)
 
         volts, flag = "[SENSe:]VOLTage[:DC]", Boolean()
@@ -301,12 +267,8 @@ class Keysight34970A(ScpiInstrument):
     def _system_commands(self) -> list[Command]:
         return [
             Command("SYSTem:CTYPe?", self._card, (Number(words=()),)),
-            Command("SYSTem:VERSion?", lambda: "1994.0"),
             Command("INSTrument:DMM?", lambda: "1"),
             Command("INSTrument:DMM:INSTalled?", lambda: "1"),
-            Command("SYSTem:LOCal", partial(self._set_remote, False)),
-            Command("SYSTem:REMote", partial(self._set_remote, True)),
-            Command("SYSTem:RWLock", partial(self._set_remote, True)),
         ]
 
     def _card(self, slot: float) -> str:
@@ -314,9 +276,6 @@ class Keysight34970A(ScpiInstrument):
             raise ScpiError(-222)
         card = self.cards.get(int(slot))
         return "HEWLETT-PACKARD,0,0,0" if card is None else f"HEWLETT-PACKARD,{card},0,2.3"
-
-    def _set_remote(self, remote: bool) -> None:
-        self._remote = remote
 
 
 def _set_autorange(channel: ChannelConfiguration, flag: Value) -> None:

@@ -1,7 +1,6 @@
 """Scanning and the reading memory of a simulated 34970A.
 
-A trigger starts one sweep of the scan list: relay, channel delay, sample, then the next channel. As for the
-34401A, starting only fixes when each sample is taken; whoever needs the result waits for the last one.
+A trigger starts one sweep of the scan list: relay, channel delay, sample, then the next channel.
 Source: 34970A User's Guide (34970-90003), chapter 4 "Scanning", chapter 5 "Scanning Commands",
 "Reading Format Commands", "Scan Memory Commands".
 """
@@ -11,21 +10,21 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from sim.agilent_34401a.converter import OVERLOAD, reading_text
-from sim.agilent_34401a.trigger import TriggerState
-from sim.scpi.instrument import Command, DeviceClear
+from drivers.agilent_34401a.facts import OVERLOAD_V
+from drivers.keysight_34970a.facts import MEMORY_READINGS
+from sim.agilent_34401a.converter import reading_text
+from sim.agilent_34401a.cycle import MeasuringCycle
+from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import INF, MAX, MIN, Boolean, Choice, Number, Value, integer, within
-from sim.world.clock import wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from drivers.clock import Clock
     from sim.agilent_34401a.converter import Converter
     from sim.keysight_34970a.channels import ChannelConfiguration
 
-MEMORY_DEPTH: Final = 50_000
 _MOST_SWEEPS: Final = 50_000
 _LONGEST_TIMER_S: Final = 359_999.0
 _RELAY_S: Final = 4e-3
@@ -34,12 +33,15 @@ _INFINITE: Final = "+9.90000200E+37"
 _EXTRAS: Final = ("UNIT", "TIME", "CHANnel", "ALARm")
 
 
-class Scan:
+class Scan(MeasuringCycle):
     """Scan list, trigger settings, the scan under way, and the memory, which keeps the latest readings.
 
     `channels` holds settings and converter of each channel. An endless scan (TRIGger:COUNt INFinity) can be
     set but not started here (305), nor one of more readings than the memory holds.
     """
+
+    memory_depth = MEMORY_READINGS
+    starts_itself = ("IMM", "TIM")
 
     def __init__(
         self,
@@ -48,13 +50,12 @@ class Scan:
         on_overload: Callable[[], None],
         interrupted: Callable[[], bool],
     ) -> None:
-        self._clock = clock
         self._channels = channels
         self._on_overload = on_overload
-        self._interrupted = interrupted
         self.channel_list: tuple[int, ...] = ()
-        self.preset()
-        self.abort()
+        self._due: list[tuple[int, float]] = []
+        self._began_s = 0.0
+        super().__init__(clock, interrupted)
 
     def preset(self) -> None:
         """Set what *RST, CONFigure and MEASure set: one immediate sweep, readings alone."""
@@ -65,14 +66,8 @@ class Scan:
 
     def abort(self) -> None:
         """ABORt, device clear: go to idle; nothing is left in memory."""
-        self.state = TriggerState.IDLE
-        self._memory: list[str] = []
-        self._readings: list[str] = []
-        self._due: list[tuple[int, float]] = []
-        self._began_s = 0.0
-        self._finish_s = 0.0
-        self._left: float = 0
-        self._stores = False
+        super().abort()
+        self._due = []
 
     def define(self, channels: tuple[int, ...]) -> None:
         """Set the scan list: it is scanned in rising order, each channel once."""
@@ -82,23 +77,14 @@ class Scan:
 
     def initiate(self) -> None:
         """INITiate: scan into memory. Raises `ScpiError` -213 while scanning, 305 as the class says."""
-        self._begin(stores=True)
+        self._begin(keeps=True)
 
     def read(self) -> str | None:
         """READ?: scan and return the readings, which are not stored. Raises as `initiate`, -214."""
         if self.source == "BUS":
             raise ScpiError(-214)
-        self._begin(stores=False)
-        if self.state is TriggerState.WAITING:
-            return None
-        self.complete()
-        return ",".join(self._readings)
-
-    def fetch(self) -> str:
-        """FETCh?: return what is in memory. Raises `ScpiError` -230 when there is nothing."""
-        if not self._memory:
-            raise ScpiError(-230)
-        return ",".join(self._memory)
+        self._begin(keeps=False)
+        return self._outcome()
 
     def remove(self, count: float) -> str:
         """DATA:REMove?: return the oldest readings and take them out of memory; -222 if there are fewer."""
@@ -108,41 +94,19 @@ class Scan:
             raise ScpiError(-230)
         return ",".join(taken)
 
-    def trigger(self, source: str) -> None:
-        """Sweep once for a trigger from "BUS" or "EXT"; -211 when the meter does not wait for it."""
-        if self.state is not TriggerState.WAITING or self.source != source:
-            raise ScpiError(-211)
-        self._schedule(1)
-
-    def complete(self) -> None:
-        """Wait for the sweeps under way. Raises `DeviceClear` when one comes in meanwhile."""
-        if self.state is TriggerState.MEASURING:
-            if not wait_until(self._clock, self._finish_s, self._interrupted):
-                raise DeviceClear
-            self._collect()
-
-    def _begin(self, stores: bool) -> None:
-        if self.state is TriggerState.MEASURING and self._clock.now_s() >= self._finish_s:
-            self._collect()
-        if self.state is not TriggerState.IDLE:
-            raise ScpiError(-213)
-        if not self.channel_list or self.count * len(self.channel_list) > MEMORY_DEPTH:
+    def _begin(self, keeps: bool) -> None:
+        self._require_idle()
+        if not self.channel_list or self.count * len(self.channel_list) > self.memory_depth:
             raise ScpiError(_CANNOT)
-        self._memory, self._readings = [], []
-        self._stores = stores
-        self._left = self.count
         self._began_s = self._clock.now_s()
         for channel in self.channel_list:
             self._channels[channel][1].begin()
-        if self.source in ("IMM", "TIM"):
-            self._schedule(int(self.count))
-        else:
-            self.state = TriggerState.WAITING
+        self._start(self.count, keeps=keeps)
 
-    def _schedule(self, sweeps: int) -> None:
+    def _schedule(self, triggers: int) -> None:
         """Fix when the samples of the next sweeps are taken, each in mid-integration."""
         start_s = now_s = self._clock.now_s()
-        for sweep in range(sweeps):
+        for sweep in range(triggers):
             if self.source == "TIM":
                 now_s = max(now_s, start_s + sweep * self.timer_s)
             for channel in self.channel_list:
@@ -150,21 +114,16 @@ class Scan:
                 now_s += _RELAY_S + configuration.delay_s
                 self._due.append((channel, now_s + converter.integration_s(configuration) / 2.0))
                 now_s += converter.sample_s(configuration)
-        self._finish_s = now_s
-        self._left -= sweeps
-        self.state = TriggerState.MEASURING
+        self._measures_until(now_s, triggers)
 
-    def _collect(self) -> None:
+    def _taken(self) -> Iterator[str]:
         for channel, time_s in self._due:
             configuration, converter = self._channels[channel]
             value = converter.sample(configuration, time_s)
-            if abs(value) >= OVERLOAD:
+            if abs(value) >= OVERLOAD_V:
                 self._on_overload()
-            self._readings.append(self._text(channel, time_s, value, converter.step(configuration)))
-        if self._stores:
-            self._memory = self._readings[-MEMORY_DEPTH:]
+            yield self._text(channel, time_s, value, converter.step(configuration))
         self._due = []
-        self.state = TriggerState.WAITING if self._left > 0 else TriggerState.IDLE
 
     def _text(self, channel: int, time_s: float, value: float, step: float) -> str:
         text = reading_text(value, step) + (" VDC" if self.extras["UNIT"] else "")

@@ -122,6 +122,10 @@ class ScpiInstrument:
         """Carry out *TST? and return 0 (passed) or 1."""
         return 0
 
+    def number(self, value: float) -> str:
+        """Return a whole number as the instrument prints it: `+0`."""
+        return integer(value)
+
     def device_clear_pending(self) -> bool:
         """Whether a device clear has come in since the present message began: what waits gives up."""
         return self._interrupted()
@@ -136,7 +140,7 @@ class ScpiInstrument:
     def next_error(self) -> str:
         """Take the oldest error out of the queue: `-113,"Undefined header"`, `+0,"No error"`."""
         number = self.errors.pop()
-        return f"{integer(number)},{quoted(self._error_texts[number])}"
+        return f"{self.number(number)},{quoted(self._error_texts[number])}"
 
     # --- parsing ------------------------------------------------------------------------------------
 
@@ -190,8 +194,8 @@ class ScpiInstrument:
         return [
             Command("*CLS", self._clear_status),
             Command("*ESE", self._set_event_enable, byte),
-            Command("*ESE?", lambda: integer(self.status.event_enable)),
-            Command("*ESR?", lambda: integer(self.status.take_event())),
+            Command("*ESE?", lambda: self.number(self.status.event_enable)),
+            Command("*ESR?", lambda: self.number(self.status.take_event())),
             Command("*IDN?", lambda: self.identity),
             Command("*OPC", self._operation_complete),
             Command("*OPC?", lambda: "1"),
@@ -199,17 +203,17 @@ class ScpiInstrument:
             Command("*PSC?", lambda: str(int(self.status.power_on_clear))),
             Command("*RST", self.reset),
             Command("*SRE", self._set_service_enable, byte),
-            Command("*SRE?", lambda: integer(self.status.service_enable)),
-            Command("*STB?", lambda: integer(self.status.status_byte)),
-            Command("*TST?", lambda: integer(self.self_test())),
+            Command("*SRE?", lambda: self.number(self.status.service_enable)),
+            Command("*STB?", lambda: self.number(self.status.status_byte)),
+            Command("*TST?", lambda: self.number(self.self_test())),
         ]
 
     def _status_commands(self) -> list[Command]:
         return [
             Command("SYSTem:ERRor?", self.next_error),
-            Command("STATus:QUEStionable[:EVENt]?", lambda: integer(self.status.take_questionable())),
+            Command("STATus:QUEStionable[:EVENt]?", lambda: self.number(self.status.take_questionable())),
             Command("STATus:QUEStionable:ENABle", self._set_questionable_enable, (Number(words=()),)),
-            Command("STATus:QUEStionable:ENABle?", lambda: integer(self.status.questionable_enable)),
+            Command("STATus:QUEStionable:ENABle?", lambda: self.number(self.status.questionable_enable)),
             Command("STATus:PRESet", lambda: self._set_questionable_enable(0)),
         ]
 

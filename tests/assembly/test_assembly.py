@@ -9,14 +9,15 @@ import socket
 import numpy as np
 import pytest
 
-from bench.assembly import real as compose_drivers
-from bench.assembly import simulated as compose_simulation
 from bench.assembly.served import served_bench
 from bench.assembly.simulated import on_terminals
-from bench.devices.chambers import EspecSection, ThermotronSection, WatlowF4TSection
-from bench.devices.heads import AcutrolSection, ZaberSection
-from bench.devices.voltmeters import VOLTMETERS, Keysight34970ASection
+from bench.devices.acutrol import AcutrolSection
+from bench.devices.espec import EspecSection
+from bench.devices.keysight_34970a import Keysight34970ASection
+from bench.devices.thermotron import ThermotronSection
+from bench.devices.watlow_f4t import WatlowF4TSection
 from bench.devices.wires import bus_place
+from bench.devices.zaber import ZaberSection
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
@@ -29,7 +30,7 @@ from drivers.thermotron.driver import ThermotronChamber
 from drivers.watlow_f4t.driver import WatlowF4TChamber
 from drivers.wire.causes import WireError
 from drivers.wire.prologix import parse
-from drivers.zaber.driver import SERIAL, ZaberHead
+from drivers.zaber.driver import ZaberHead
 from sim.wires.pty import TERMINALS
 from tests.support.composed_bench import composing, edited, read
 from tests.support.patience import PATIENCE_S
@@ -52,13 +53,7 @@ def composed(tmp_path):
         yield compose
 
 
-# --- tables -----------------------------------------------------------------------------------------
-
-
-def test_every_driver_that_a_bench_file_may_name_is_made_and_simulated():
-    assert set(compose_drivers.VOLTMETER_DRIVERS) == set(compose_simulation.VOLTMETERS) == set(VOLTMETERS)
-    assert set(compose_drivers.HEAD_DRIVERS) == {"manual-head", *compose_simulation.HEADS}
-    assert set(compose_drivers.CHAMBER_DRIVERS) == {"manual-chamber", *compose_simulation.CHAMBERS}
+# --- sections -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -85,10 +80,6 @@ def test_what_a_section_leaves_out_is_as_its_driver_has_it(section, driver, name
     parameters = inspect.signature(driver).parameters
     for ours, theirs in names.items():
         assert section.model_fields[ours].default == pytest.approx(parameters[theirs].default), ours
-
-
-def test_a_zaber_port_is_as_delivered():
-    assert ZaberSection.model_fields["serial"].default.baud_rate == SERIAL.baud_rate
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from bench.model.block import COEFFICIENTS
 from bench.readings.csv import read_csv, write_csv
 from bench.run.folder import Run
+from tests.support.procedure_texts import TWO_INSTALLATIONS
 
 PAPER = [
     -2.177087, -0.018243, 0.025027, 0.026542, -2.139892, 0.032755, 0.006754, 0.006026, -2.144367,
@@ -47,6 +48,7 @@ def one_line(err):
     return lines[0]
 
 
+@pytest.mark.slow
 def test_a_dry_run_ends_with_coefficients_a_verdict_and_a_report(bench):
     status, out, err = bench("run", "paper", "--dry-run", "--name", "first", "--operator", "A. Person")
     assert (status, err) == (0, "")
@@ -69,14 +71,16 @@ def test_a_dry_run_ends_with_coefficients_a_verdict_and_a_report(bench):
 
 
 def test_the_same_seed_gives_the_same_run_and_another_seed_another(bench):
+    Path("two.yaml").write_text(TWO_INSTALLATIONS, encoding="utf-8")
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
-        assert bench("run", "quick", "--dry-run", "--seed", seed, "--name", name)[0] == 0
+        assert bench("run", "two.yaml", "--dry-run", "--seed", seed, "--name", name)[0] == 0
     a, b, c = (Run(Path("runs") / name).readings() for name in "abc")
     assert np.array_equal(a.signal, b.signal)
     assert np.array_equal(a.time_s, b.time_s)
     assert np.mean(a.signal == c.signal) < 0.1  # readings are rounded: a few may agree
 
 
+@pytest.mark.slow
 def test_error_free_both_estimators_return_the_paper_over_the_wire(bench):
     """A reply carries 1e-8 V, so 5e-9 V of rounding; equation (11) to 5e-9."""
     stand = edited_stand(**SILENT_STAND)
@@ -88,6 +92,7 @@ def test_error_free_both_estimators_return_the_paper_over_the_wire(bench):
         assert np.max(np.abs(np.array(found) - PAPER)) < 5e-9
 
 
+@pytest.mark.slow
 def test_an_altered_scale_factor_fails_the_verification(bench):
     bench("run", "calibration", "--dry-run", "--name", "good")
     coefficients = json.loads(Path("runs/good/calibrate.json").read_text())
@@ -101,8 +106,8 @@ def test_an_altered_scale_factor_fails_the_verification(bench):
     assert json.loads(Path("v.json").read_text())["passed"] is False
 
 
-def test_a_run_exported_calibrates_to_the_same_numbers(bench):
-    bench("run", "paper", "--dry-run", "--name", "run")
+@pytest.mark.slow
+def test_a_run_exported_calibrates_to_the_same_numbers(bench, paper_run):
     assert bench("export", "run", "--csv", "readings.csv")[0] == 0
     results = []
     for source in ("run", "readings.csv"):
@@ -122,6 +127,7 @@ def test_a_run_exported_calibrates_to_the_same_numbers(bench):
     assert Path("runs/by-hand/report.html").is_file()
 
 
+@pytest.mark.slow
 def test_runs_and_show_tell_what_there_is(bench):
     assert bench("runs")[1].startswith("runs: no runs there")
     bench("run", "quick", "--dry-run", "--name", "one")
@@ -149,6 +155,7 @@ def test_check_prints_the_steps_and_touches_nothing(bench):
     assert summary["problems"] == []
 
 
+@pytest.mark.slow
 def test_init_writes_copies_and_never_over_a_file(bench):
     assert bench("init")[0] == 0
     mine = Path("procedures/paper.yaml")
@@ -160,6 +167,7 @@ def test_init_writes_copies_and_never_over_a_file(bench):
     assert set(Run(Path("runs/mine")).readings().samples) == {3}
 
 
+@pytest.mark.slow
 def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
     Path("k2.yaml").write_text(
         'model_file: "1"\nname: with-k2\neffects:\n'
@@ -199,8 +207,7 @@ def test_every_mistake_is_one_clear_line(bench, arguments, says):
     assert out == ""
 
 
-def test_a_bad_readings_file_lists_its_rows_and_computes_nothing(bench):
-    bench("run", "paper", "--dry-run", "--name", "run")
+def test_a_bad_readings_file_lists_its_rows_and_computes_nothing(bench, paper_run):
     bench("export", "run", "--csv", "r.csv")
     lines = Path("r.csv").read_text().splitlines()
     lines[3] = lines[3].replace(lines[3].split(",")[10], "9.9E37")
@@ -216,8 +223,7 @@ def test_a_bad_readings_file_lists_its_rows_and_computes_nothing(bench):
     assert json.loads(out)["readings"] == {"used": 52, "skipped": 2}
 
 
-def test_one_installation_alone_is_named_not_solved(bench):
-    bench("run", "paper", "--dry-run", "--name", "run")
+def test_one_installation_alone_is_named_not_solved(bench, paper_run):
     readings = Run(Path("runs/run")).readings()
     write_csv(readings.select(readings.installation == "1"), Path("half.csv"))
     status, _, err = bench("calibrate", "half.csv")
@@ -226,8 +232,7 @@ def test_one_installation_alone_is_named_not_solved(bench):
     assert read_csv(Path("half.csv"), ["1"]).installation.tolist() == ["1"] * 27
 
 
-def test_a_file_where_nothing_can_be_written_beside_it_still_calibrates(bench, monkeypatch):
-    bench("run", "paper", "--dry-run", "--name", "run")
+def test_a_file_where_nothing_can_be_written_beside_it_still_calibrates(bench, paper_run, monkeypatch):
     bench("export", "run", "--csv", "r.csv")
     Path("calibrate").write_text("in the way")
     status, _, err = bench("calibrate", "r.csv")
@@ -246,6 +251,7 @@ def test_check_opens_the_instruments_only_when_asked(bench):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_run_and_report_give_json_on_standard_output_alone(bench):
     status, out, err = bench("run", "quick", "--dry-run", "--name", "j", "--json", "-")
     assert status == 0

@@ -12,10 +12,12 @@ from bench.cli.app import main
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
 from bench.run.folder import Run
-from sim.bench import SimulatedBench, SimulatedMeter
+from sim.bench import SimulatedBench
 from sim.wires.session import WireFault
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
+from tests.support.procedure_texts import TWO_INSTALLATIONS
+from tests.support.simulated_stand import a_34401a
 
 SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
 PROCEDURE = """\
@@ -41,7 +43,7 @@ def served(tmp_path, monkeypatch):
     bench = load_bench(SHIPPED)
     model = ForwardModel(bench.installation_models())
     world = World(WorldSettings(bench.simulated_block(), model, {}, seed=1), VirtualClock())
-    meters = {f"voltmeter.{c}": SimulatedMeter(c, interface="gpib") for c in "xyz"}
+    meters = {f"voltmeter.{c}": a_34401a(c, interface="gpib") for c in "xyz"}
     with SimulatedBench(world, meters) as simulated:
         write_bench_file(list(simulated.resources.values()))
         yield simulated
@@ -176,16 +178,18 @@ def test_gpib_without_a_board_is_one_sentence(tmp_path, monkeypatch, capsys):
     assert "GPIB" in err
 
 
+@pytest.mark.slow
 def test_interrupted_anywhere_a_dry_run_resumes_to_the_undisturbed_readings(tmp_path, monkeypatch, capsys):
     """Reading for reading: the world's random numbers belong to the step, bench time goes on."""
     monkeypatch.chdir(tmp_path)
-    command(capsys, "run", "quick", "--dry-run", "--name", "whole", "--seed", 5)
+    Path("two.yaml").write_text(TWO_INSTALLATIONS, encoding="utf-8")
+    command(capsys, "run", "two.yaml", "--dry-run", "--name", "whole", "--seed", 5)
     whole = Run(Path("runs/whole")).readings()
     for moment, event in enumerate((5, 12, 13, 14, 40, 66)):
         name = f"cut{moment}"
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("bench.run.runner.Runner._emit", _interrupt_at(event))
-            status, _, err = command(capsys, "run", "quick", "--dry-run", "--name", name, "--seed", 5)
+            status, _, err = command(capsys, "run", "two.yaml", "--dry-run", "--name", name, "--seed", 5)
         assert status == 2
         assert f"bench resume {name}" in err
         assert command(capsys, "resume", name)[0] == 0

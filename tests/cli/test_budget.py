@@ -31,6 +31,7 @@ def result_of(bench, *arguments, status=0):
     return json.loads(out)
 
 
+@pytest.mark.slow
 def test_the_table_of_the_paper_from_a_bench_file(bench):
     """The same numbers as from the parts themselves, through file, procedure and JSON."""
     file = edited_stand(**ONE_SIGMA)
@@ -81,6 +82,7 @@ def test_printed_for_a_person(bench):
     assert max(len(line) for line in out.splitlines() if not line.startswith("note")) <= 150
 
 
+@pytest.mark.slow
 def test_a_page_with_figures(bench):
     code, _, _ = bench("budget", "--trials", 2500, "--out", "page")
     assert code == 0
@@ -95,6 +97,7 @@ def test_a_page_with_figures(bench):
     assert Path("page/budget-coefficients.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_rule_decides_the_exit_status_where_one_is_asked_for(bench):
     file = edited_stand(**ONE_SIGMA)
     simple = ("--bench", file, "--trials", 0, "--limit", 2e-4)
@@ -164,6 +167,7 @@ def test_a_singular_block_has_no_budget(bench):
     assert "unit.json: K is singular: channels x and y answer alike" in one_line(err)
 
 
+@pytest.mark.slow
 def test_a_procedure_of_several_temperatures_says_what_its_budget_takes_for_granted(bench):
     told = result_of(bench, "--procedure", "temperature", "--trials", 0)
     assert any("5 temperatures, and the coefficients are taken as the same" in note for note in told["notes"])

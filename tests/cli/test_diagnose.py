@@ -45,6 +45,7 @@ def result_of(path):
     return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
 
 
+@pytest.mark.slow
 def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench):
     Path("hidden.yaml").write_text(HIDDEN, encoding="utf-8")
     run = bench("run", "calibration", "--dry-run", "--model", "hidden.yaml", "--name", "a", "--seed", 5)
@@ -75,6 +76,7 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
     assert "SIMULATED" in page
 
 
+@pytest.mark.slow
 def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
     status, out, _ = bench(
         "diagnose", measured("null.csv", 3), "--strict", "--no-report", "--json", "null.json"
@@ -87,6 +89,7 @@ def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
     assert found["simulation"]["after"] is None
 
 
+@pytest.mark.slow
 def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench):
     first = measured("first.csv", 4, K2=(0, 100e-6, 0))
     assert bench("diagnose", first, "--no-report")[0] == 0
@@ -109,6 +112,7 @@ def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench):
     assert u[second] / u[first] == pytest.approx(1 / np.sqrt(2), rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(bench):
     first = measured("first.csv", 4, K2=(0, 100e-6, 0))
     assert bench("diagnose", first, "--no-report")[0] == 0
@@ -129,6 +133,7 @@ def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(be
         assert "estimated anew" in bench("calibrate", name, "--model", found["model"])[1]
 
 
+@pytest.mark.slow
 def test_what_the_data_cannot_tell_is_added_only_when_asked(bench):
     # no input was shorted: the zero of the voltmeters drifts, or the biases of all three channels alike
     measured("tie.csv", 7, drift_v_per_h=(1e-4, 1e-4, 1e-4))
@@ -153,6 +158,7 @@ def test_several_sources_keep_their_order(bench):
     assert [f["report"] for f in found] == [None] * 3
 
 
+@pytest.mark.slow
 def test_together_they_are_one_body_of_data(bench):
     names = [measured(f"{seed}.csv", seed, K2=(0, 60e-6, 0)) for seed in (4, 5)]
     assert bench("diagnose", *names, "--together", "--no-report", "--json", "d.json")[0] == 0
@@ -167,6 +173,7 @@ def test_together_they_are_one_body_of_data(bench):
     assert "estimated anew" in bench("calibrate", names[1], "--model", found["model"])[1]
 
 
+@pytest.mark.slow
 def test_a_mistake_is_put_right_in_a_copy_alone(bench):
     right = paper_run(np.random.default_rng(3), directions=BOTH_WAYS)
     write_csv(replace(right, signal=right.signal[:, [1, 0, 2]]), Path("swapped.csv"))
@@ -181,6 +188,7 @@ def test_a_mistake_is_put_right_in_a_copy_alone(bench):
     assert found["simulation"]["before"]["p"] > 0.01
 
 
+@pytest.mark.slow
 def test_json_alone_goes_to_standard_output(bench):
     status, out, _ = bench("diagnose", measured("null.csv", 3), "--no-report", "--json", "-")
     assert (status, json.loads(out, parse_constant=refuse)["verdict"]) == (0, "agrees")
@@ -208,6 +216,7 @@ def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, message):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_made_costs_the_files_and_not_the_result(bench):
     Path("diagnose").write_text("a file where the folder would be", encoding="utf-8")
     name = measured("k2.csv", 4, K2=(0, 100e-6, 0))

@@ -24,6 +24,7 @@ effects:
 """
 
 
+@pytest.mark.slow
 def test_a_resumed_dry_run_remembers_what_was_read_before(bench, monkeypatch):
     """Effects look back past the interruption; recalled settings lack alpha4, 200 ppm of which is 1e-8 V."""
     Path("model.yaml").write_text(LOOKING_BACK, encoding="utf-8")
@@ -53,6 +54,7 @@ def interrupt_at(event):
     return emit
 
 
+@pytest.mark.slow
 def test_the_model_that_a_dry_run_obeyed_is_found_by_a_fit(bench):
     """Each within four standard uncertainties of the truth; the shape stays as the file has it."""
     text = "model_file: 1\nname: m\neffects:\n"

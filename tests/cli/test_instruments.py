@@ -22,11 +22,12 @@ from drivers.clock import SystemClock
 from drivers.interfaces import Identity, InstrumentLost, SelfTesting
 from drivers.wire.discovery import SOCKETS, SerialPort, discover
 from sim.agilent_34401a.meter import Agilent34401A
-from sim.bench import SimulatedBench, SimulatedMeter
+from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
+from tests.support.simulated_stand import a_34401a
 
 SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
 METERS = [f"voltmeter.{c}" for c in "xyz"]
@@ -41,7 +42,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Simulate
     bench = load_bench(SHIPPED)
     model = ForwardModel(bench.installation_models())
     world = World(WorldSettings(bench.simulated_block(), model, {}, seed=1), VirtualClock())
-    meters = {f"voltmeter.{c}": SimulatedMeter(c, interface="gpib", noise=False) for c in "xyz"}
+    meters = {f"voltmeter.{c}": a_34401a(c, interface="gpib", noise=False) for c in "xyz"}
     with SimulatedBench(world, meters) as simulated:
         write_bench_file(simulated.resources)
         yield simulated

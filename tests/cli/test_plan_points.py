@@ -53,6 +53,7 @@ def test_the_file_that_is_written_is_a_procedure_of_the_bench(bench, stand):
     assert out.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_time_that_is_too_short_for_the_goal_is_said(bench):
     status, out, _ = bench("plan-points", "--time", "3.5 h", "--delta-g", "4.8e-5")
     assert status == 1

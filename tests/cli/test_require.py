@@ -19,6 +19,7 @@ def one_sigma():
     return "one.yaml"
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_example(bench):
     status, out, err = bench(
         "require",
@@ -40,6 +41,7 @@ def test_the_command_gives_the_example(bench):
     assert gls.rstrip().endswith("no limit")
 
 
+@pytest.mark.slow
 def test_json_has_everything_and_no_infinity(bench):
     arguments = (
         "require",
@@ -69,6 +71,7 @@ def test_json_has_everything_and_no_infinity(bench):
     assert found["not_counted"] > 0
 
 
+@pytest.mark.slow
 def test_every_error_can_be_counted_and_the_priors_of_the_block_rule_at_5_g(bench):
     status, out, _ = bench(
         "require",
@@ -90,6 +93,7 @@ def test_every_error_can_be_counted_and_the_priors_of_the_block_rule_at_5_g(benc
     assert {one["verdict"] for one in found["alone"]} == {"cannot be reached"}
 
 
+@pytest.mark.slow
 def test_counted_with_the_reading_in_use_the_priors_of_the_block_rule_at_5_g(bench):
     asked = ("require", "--accuracy", "2e-3", "--of", "modulus", "--up-to", "5g", "--procedure", "paper")
     status, out, _ = bench(*asked, "--all-errors", "--with-reading", "--json", "-")
@@ -105,6 +109,7 @@ def test_counted_with_the_reading_in_use_the_priors_of_the_block_rule_at_5_g(ben
     assert "MORE THAN THE ACCURACY" in out
 
 
+@pytest.mark.slow
 def test_the_limits_that_are_printed_keep_to_the_accuracy_in_a_bench_file(bench):
     """Rounded down, as what must not be exceeded, and without powers of ten."""
     asked = ("require", "--accuracy", "3e-4", "--procedure", "paper", "--estimator", "closed-form")

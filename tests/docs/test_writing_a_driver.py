@@ -1,14 +1,18 @@
-"""The pages of `docs`: what they show as code is run as it stands there."""
+"""The page on bringing an instrument: the folder that it shows is used as it stands there."""
 
 from __future__ import annotations
 
+import os
 import random
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bench.devices.registry import devices
 from drivers.chambers import ChamberLimits
 from drivers.interfaces import (
     BenchError,
@@ -22,6 +26,7 @@ from drivers.interfaces import (
 from drivers.keysight_34461a.driver import Keysight34461A
 from drivers.wire.replay import replayed
 from sim.wires.session import DROP, SILENCE, WireFault
+from tests.support.instrument_stand import written_bench
 from tests.support.scripted_session import ScriptedSession
 from tests.support.simulated_stand import a_world, served
 
@@ -32,23 +37,44 @@ SEED = 7
 
 
 @pytest.fixture(scope="module")
-def page() -> dict[str, Any]:
-    """The names that the page's code blocks define, each block carried out after the other."""
-    blocks = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    assert len(blocks) == 4
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the page, each block a file of the name in its first line."""
+    made = tmp_path_factory.mktemp("my-devices")
+    blocks = re.findall(
+        r"^```python\n# (\S+)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+    assert len(blocks) == 6
+    for name, text in blocks:
+        place = made / name if "/" in name else made.parent / name  # the test stands beside the folder
+        place.parent.mkdir(exist_ok=True)
+        place.write_text(text, encoding="utf-8")
+    return made
+
+
+@pytest.fixture
+def page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The classes of the folder, and its test; it is one of those that are searched."""
+    monkeypatch.setenv("BENCH_DEVICES", str(folder))
+    device = devices().get("frostline")
+    assert device is not None, devices().troubles
     names: dict[str, Any] = {
-        **{"ScriptedSession": ScriptedSession, "__name__": "page", "Path": Path, "pytest": pytest},
-        **{"replayed": replayed, "Keysight34461A": Keysight34461A},
+        "FrostlineChamber": device.class_of("driver"),
+        "Frostline7": device.class_of("simulation"),
+        "ScriptedSession": ScriptedSession,
+        "ChamberLimits": ChamberLimits,
+        "Identity": Identity,
+        **{"Path": Path, "pytest": pytest, "replayed": replayed, "Keysight34461A": Keysight34461A},
         **{"VoltmeterSettings": VoltmeterSettings, "InstrumentLost": InstrumentLost},
     }
-    for block in blocks:
-        exec(compile(block, str(PAGE), "exec"), names)  # noqa: S102 - our own page
+    for name in ("test_frostline.py", "test_session.py"):
+        text = (folder.parent / name).read_text(encoding="utf-8")
+        exec(compile(text, str(PAGE), "exec"), names)  # noqa: S102 - our own page
     return names
 
 
 def test_the_page_is_short_and_names_what_exists() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 156
+    assert len(text.splitlines()) <= 205
     for path in re.findall(r"`((?:bench|drivers|sim|tests)/[\w/]+\.py)`", text):
         assert (ROOT / path).is_file(), path
 
@@ -129,3 +155,27 @@ def test_on_a_wire_that_fails_the_driver_tells_the_truth_or_why_not(page: dict[s
     assert arrived >= 3
     assert messages
     assert all(message.startswith("chamber: ") for message in messages)
+
+
+def test_its_section_stands_in_a_bench_file_and_in_a_dry_run(bench, page, tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.report.render_report", lambda _content: "")
+    path = written_bench(devices().get("frostline"), tmp_path)
+    status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "run")
+    assert (status, err) == (0, ""), out
+
+
+def test_it_passes_what_every_instrument_must_do(folder):
+    suite = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "tests/conformance",
+        "-n",
+        "0",
+        "-k",
+        "frostline or all_devices",
+    ]
+    environment = {**os.environ, "BENCH_DEVICES": str(folder), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(suite, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert int(re.search(r"(\d+) passed", done.stdout)[1]) > 12

@@ -9,7 +9,8 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.acutrol.driver import READ_TERMINATION, WRITE_TERMINATION, AcutrolHead
+from drivers.acutrol.driver import AcutrolHead
+from drivers.acutrol.facts import READ_TERMINATION, WRITE_TERMINATION
 from drivers.interfaces import (
     BadReading,
     DividingHead,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from drivers.agilent_34401a.driver import Agilent34401A, reading_time_s
+from drivers.agilent_34401a.driver import Agilent34401A
 from drivers.interfaces import (
     BadReading,
     Identity,
@@ -274,22 +274,21 @@ def test_overload_names_channel_range_and_remedy(value: str) -> None:
 
 def test_timeout_grows_with_samples_and_integration() -> None:
     """Two samples of 10 cycles at 50 Hz, twice for autozero, take 0.8 s and some overhead."""
-    assert reading_time_s(TEN_VOLTS, 50.0) == pytest.approx(0.82)
     m, script = ready(READ)
+    assert m.reading_time_s(TEN_VOLTS) == pytest.approx(0.82)
     m.start()
     m.fetch()
     allowed_s = script.timeouts_s["FETC?"]
     assert allowed_s is not None
     assert allowed_s == pytest.approx(Script.timeout_s + 1.5 * 0.82)
-    assert reading_time_s(VoltmeterSettings(10.0, 100.0, 512), 50.0) > 512 * 4.0
+    assert m.reading_time_s(VoltmeterSettings(10.0, 100.0, 512)) > 512 * 4.0
 
 
 def test_reading_time_includes_a_slow_line() -> None:
     """512 readings of 16 characters at 11 bits and 9600 baud take 9.4 s to send."""
     settings = VoltmeterSettings(10.0, 0.02, 512)
-    line_s = reading_time_s(settings, 50.0, SerialSettings().character_time_s) - reading_time_s(
-        settings, 50.0
-    )
+    m, _ = ready(READ)
+    line_s = m.reading_time_s(settings, SerialSettings().character_time_s) - m.reading_time_s(settings)
     assert line_s == pytest.approx(9.39, abs=0.01)
 
 

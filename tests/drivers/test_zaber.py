@@ -12,7 +12,7 @@ from drivers.interfaces import (
     InstrumentRefused,
     LimitExceeded,
 )
-from drivers.zaber.driver import checksum
+from drivers.zaber.facts import checksum
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.zaber_head import DEG, STEPS, head
 

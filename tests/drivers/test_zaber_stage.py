@@ -12,8 +12,9 @@ from drivers.interfaces import (
     InstrumentLost,
     InstrumentRefused,
 )
-from drivers.wire.visa import MessageSession
-from drivers.zaber.driver import READ_TERMINATION, SERIAL, WRITE_TERMINATION, ZaberHead
+from drivers.wire.visa import MessageSession, SerialSettings
+from drivers.zaber.driver import ZaberHead
+from drivers.zaber.facts import READ_TERMINATION, SERIAL, WRITE_TERMINATION
 from sim.wires.pty import TERMINALS, TerminalServer
 from sim.wires.session import DROP, SILENCE, ServedInstrument, WireFault
 from sim.world.turning import HeadFault
@@ -228,7 +229,7 @@ def test_over_a_serial_port_and_after_a_lost_reply() -> None:
             timeout_s=0.2,
             read_termination=READ_TERMINATION,
             write_termination=WRITE_TERMINATION,
-            serial=SERIAL,
+            serial=SerialSettings(**SERIAL),
         )
         h = head(session, world.clock)
         h.open()

@@ -2,7 +2,6 @@
 
 import json
 from collections import namedtuple
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from bench.analysis.calibration.assumptions import require_rank
 from bench.api import outlook as command
 from bench.assembly.served import dry_bench
 from bench.cli.app import main
-from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import ForwardModel
@@ -23,8 +21,9 @@ from bench.procedure.check import disk_needed_bytes, operator_actions, undetermi
 from bench.procedure.listing import listing
 from bench.procedure.load import load_procedure
 from bench.procedure.plan import Mount, Plan, Read, Turn, Wait
+from drivers.agilent_34401a import facts
 from drivers.agilent_34401a.driver import Agilent34401A
-from drivers.interfaces import VoltmeterSettings
+from drivers.interfaces import VoltmeterLimits, VoltmeterSettings
 from tests.support.procedure_texts import HEAD, load_steps
 
 SHIPPED = find_bench("paper-stand")
@@ -125,9 +124,8 @@ def test_every_problem_is_told_at_once_and_the_status_says_so(bench):
 
 
 def test_fewer_samples_than_a_voltmeter_takes_are_refused_as_its_driver_would(bench, monkeypatch):
-    kind = VOLTMETERS["agilent-34401a"]
-    limits = replace(kind.limits, least_samples=2)
-    monkeypatch.setitem(VOLTMETERS, "agilent-34401a", replace(kind, limits=limits))
+    monkeypatch.setattr(facts, "LEAST_SAMPLES", 2)
+    limits = VoltmeterLimits.of(facts)
     monkeypatch.setattr(Agilent34401A, "limits", limits)
     quick = find_procedure("quick").read_text(encoding="utf-8")
     for samples, status in ((1, 1), (2, 0)):
@@ -147,7 +145,7 @@ def test_the_limits_of_a_bench_file_are_its_drivers_own(name):
     with dry_bench(file, ForwardModel(file.installation_models()), 1) as assembly:
         meters = zip(assembly.instruments.voltmeters, file.instruments.voltmeters, strict=True)
         for meter, section in meters:
-            assert meter.limits == VOLTMETERS[section.driver].limits.of_channels(len(section.channels))
+            assert meter.limits == section.kind.limits.of_channels(len(section.channels))
 
 
 def test_a_prompt_without_default_is_no_mistake_but_a_dry_run_is_not_offered(bench):

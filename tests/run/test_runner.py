@@ -52,6 +52,7 @@ def test_all_meters_are_started_before_the_first_is_fetched(tmp_path):
     assert sum(what[0] == "configure" for what in bench.done) == 3  # once, not at each reading
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trouble", [KeyboardInterrupt(), BadReading("voltmeter.y", "overload", "see range")])
 def test_stopped_at_any_action_and_resumed_it_ends_with_every_reading_once(tmp_path, trouble):
     undisturbed = Bench()

@@ -20,6 +20,7 @@ def run(signal, criterion=CRITERION, **words):
     return state, told, clock
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(tau_s=st.floats(0.5, 200.0), size=st.floats(1e-5, 1.0), sign=st.sampled_from([1, -1]))
 def test_an_exponential_is_not_settled_before_its_change_over_a_window_is_within_precision(tau_s, size, sign):

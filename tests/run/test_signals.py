@@ -52,6 +52,7 @@ def test_the_handlers_are_given_back():
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
     """The moment is whenever the signal comes; the wire and the disk are real."""
@@ -80,6 +81,7 @@ def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
         assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
     """Three SIGKILLs, each while the run is under way; the readings are those of an undisturbed run."""
     (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 12"))
@@ -112,6 +114,7 @@ def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
         assert np.array_equal(getattr(run.readings(), column), getattr(whole, column))
 
 
+@pytest.mark.slow
 def test_a_run_is_paused_and_aborted_from_another_program(tmp_path):
     (tmp_path / "long.yaml").write_text(LONG)
     command = [sys.executable, "-c", "from bench.cli.app import main; main()"]

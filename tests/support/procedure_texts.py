@@ -9,6 +9,15 @@ from bench.base.forms import FileMistakes
 from bench.procedure.load import Procedure, load_procedure
 from bench.procedure.plan import Plan, Read
 
+TWO_INSTALLATIONS = """\
+procedure: two
+title: Two installations that do not make a calibration together, so that none is made
+reading: {samples: 5, nplc: 1, settle: 2 s}
+steps:
+  - installation: {label: 1, steps: [turn: {angles: {from: 0 deg, step: 45 deg, count: 8}}]}
+  - installation: {label: 1T180, steps: [turn: {angles: {from: 0 deg, step: 45 deg, count: 8}}]}
+"""
+
 HEAD = "procedure: p\nreading: {samples: 3, nplc: 1, settle: 2 s}\nsteps:\n"
 
 

@@ -9,7 +9,10 @@ import numpy as np
 
 from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1
+from drivers.interfaces import Channel
 from drivers.wire.visa import MessageSession, Wire
+from sim.agilent_34401a.meter import Agilent34401A
+from sim.bench import SimulatedMeter
 from sim.wires.server import TcpServer
 from sim.wires.session import Dialect, FaultHook, ServedInstrument
 from sim.wires.traffic import Traffic
@@ -22,6 +25,11 @@ BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
 def a_world(setting_error_rad: float = 0.0, seed: int = 3) -> World:
     stand = {"setting_error": Distribution(setting_error_rad)} if setting_error_rad else {}
     return World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), stand, seed), VirtualClock())
+
+
+def a_34401a(channel: Channel, **options: object) -> SimulatedMeter:
+    """A 34401A at a channel of the block, to be put on a `SimulatedBench`."""
+    return SimulatedMeter(Agilent34401A, channel, options)
 
 
 @contextmanager

@@ -13,7 +13,6 @@ from bench.analysis.budget.influence import Influence
 from bench.analysis.budget.setup import Setup
 from bench.analysis.calibration.design import SYMBOLS, WEAK, EffectUnknown
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
-from bench.devices.voltmeters import VOLTMETERS
 from bench.files.bench.file import STAND_ERRORS, BenchFile
 from bench.files.bench.stand import ErrorSize, Location
 from bench.model import STAND_ANGLES, Distribution
@@ -148,7 +147,7 @@ _FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
 
 def _voltmeter_sources(bench: BenchFile) -> Iterator[ErrorSource]:
     meter = bench.instruments.voltmeters[0]
-    kind, range_v = VOLTMETERS[meter.driver], meter.range
+    kind, range_v = meter.kind, meter.range
     of_reading, of_range = kind.accuracy[range_v]
     whose = f"{meter.driver}, limits of 90 days on {range_v:g} V"
     largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))

@@ -13,6 +13,7 @@ from scipy import special
 from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.model.effects.voltmeter import LOW_RANGE_V
 
 SIGNIFICANT: Final = 0.01
 MOST_PLACES: Final = 8
@@ -23,8 +24,6 @@ HARMONICS: Final = (
     "three times per turn",
     "four times per turn",
 )
-LOW_RANGE_V: Final = 1.2
-"""Below it a 34401A with autorange reads on its 1 V range."""
 
 
 @dataclass(frozen=True)

@@ -275,7 +275,7 @@ def _stop_rad(table: Oriented, mask: Mask) -> Floats | None:
 
 
 def other_mountings(table: Oriented) -> list[Reinterpretation]:
-    """Return, for each installation, the 23 ways in which the block may sit otherwise ."""
+    """Return, for each installation, the 23 ways in which the block may sit otherwise."""
     found = []
     for label in table.labels:
         mask = table.label == label

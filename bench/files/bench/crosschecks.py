@@ -12,17 +12,17 @@ from bench.base.arrays import CHANNELS
 from bench.base.form_mistakes import Place, unknown_word
 from bench.base.forms import part
 from bench.base.units import SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
-from bench.devices.voltmeters import written_channels
+from bench.devices.device import Role
+from bench.devices.registry import devices
+from bench.devices.voltmeters import VoltmeterForm, written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
 from bench.readings.table import UNORIENTED
 
 _OVER_RANGE: Final = 1.2
-"""A 34401A reads up to 120 % of its range (User's Guide, chapter 8)."""
+"""Up to which part of its range a voltmeter reads whose driver cannot be read."""
 
-_SIMULATED_BY: Final = {"head": ("zaber",), "chamber": ("espec", "watlow-f4t", "thermotron")}
-"""The drivers for which the simulation has what its section of this name says."""
-_WITH_SENSOR_NOISE: Final = "espec"
+_LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
 def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
@@ -89,7 +89,11 @@ def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     range_v = _value(part(data, "instruments", "voltmeters", 0, "range") or "10 V", VOLTAGE)
     if range_v is None:
         return
-    full_scale_v = _OVER_RANGE * range_v
+    meter = devices().get(part(data, "instruments", "voltmeters", 0, "driver"))
+    over_range = _OVER_RANGE
+    if meter is not None and issubclass(meter.section, VoltmeterForm):
+        over_range = meter.section.facts.OVER_RANGE
+    full_scale_v = over_range * range_v
     limit = f"the voltmeters read no more than {full_scale_v:g} V on their {range_v:g} V range"
     for channel in CHANNELS:
         place: Place = ("unit_under_test", "scale_factors", channel)
@@ -129,10 +133,7 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if name in seen:
             yield ("instruments",), f"two instruments are called '{name}'; give one of them another name"
         seen.add(name)
-    by_hand = {
-        section.name for section in (instruments.head, instruments.chamber)
-        if section is not None and section.driver.startswith("manual")
-    }  # fmt: skip
+    by_hand = {section.name for section in instruments.all() if section.by_hand}
     wired = [name for name in instruments.names() if name not in by_hand]
     for index, fault in enumerate(_items(part(data, "simulation", "faults"))):
         named = part(fault, "instrument")
@@ -142,21 +143,26 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """What is said of a simulated head or chamber is there to be simulated."""
-    for name, drivers in _SIMULATED_BY.items():
-        section = part(data, "instruments", name)
+    roles: tuple[Role, ...] = ("head", "chamber")
+    for role in roles:
+        stated = part(data, "simulation", role)
+        section = part(data, "instruments", role)
         driver = part(section, "driver")
-        readable = section is None or isinstance(driver, str)
-        if part(data, "simulation", name) is not None and readable and driver not in drivers:
+        if stated is None or not (section is None or isinstance(driver, str)):
+            continue
+        able = {device.name: device.simulated for device in devices().of(role) if device.simulated}
+        if driver not in able:
             there = "none" if driver is None else driver
             text = (
-                f"only a {name} of the driver {' or '.join(drivers)} has this, and this bench has {there}; "
+                f"only a {role} of the driver {' or '.join(able)} has this, and this bench has {there}; "
                 "leave it out"
             )
-            yield ("simulation", name), text
-    noise: Place = ("simulation", "chamber", "sensor_noise")
-    driver = part(data, "instruments", "chamber", "driver")
-    if part(data, *noise) is not None and driver in _SIMULATED_BY["chamber"] and driver != _WITH_SENSOR_NOISE:
-        yield noise, f"the simulated {driver} has a sensor without noise; leave it out"
+            yield ("simulation", role), text
+            continue
+        elsewhere = set().union(*able.values()) - set(able[driver])
+        for key in sorted(key for key in elsewhere if part(stated, key) is not None):
+            lacking = _LACKS.get(key, f"no '{key}'")
+            yield ("simulation", role, key), f"the simulated {driver} has {lacking}; leave it out"
 
 
 def _instruments(data: Any) -> InstrumentsSection | None:

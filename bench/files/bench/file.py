@@ -21,9 +21,10 @@ from bench.base.forms import (
 )
 from bench.base.units import FrequencyHz
 from bench.devices.heads import MotorisedHeadForm
-from bench.devices.voltmeters import VOLTMETERS
+from bench.devices.registry import devices, unknown_drivers
+from bench.devices.unknown import UnknownVoltmeter
 from bench.files.bench.crosschecks import mistakes_between_parts
-from bench.files.bench.instruments import InstrumentsSection
+from bench.files.bench.instruments import InstrumentsSection, RecordedInstruments
 from bench.files.bench.simulation import SimulationSection
 from bench.files.bench.stand import (
     Gravity,
@@ -94,21 +95,26 @@ class BenchFile(FileModel):
         return self.verification.limit
 
     @property
+    def knows_its_meters(self) -> bool:
+        """Whether what its voltmeters can do is known here: of a recorded run's it need not be."""
+        return not any(isinstance(meter, UnknownVoltmeter) for meter in self.instruments.voltmeters)
+
+    @property
     def nplc_supported(self) -> tuple[float, ...]:
         """Integration times that every voltmeter of the bench has, in power-line cycles, rising."""
-        kinds = [VOLTMETERS[meter.driver].limits.nplc for meter in self.instruments.voltmeters]
+        kinds = [meter.kind.limits.nplc for meter in self.instruments.voltmeters]
         return tuple(sorted(set(kinds[0]).intersection(*kinds)))
 
     @property
     def most_samples(self) -> int:
         """Samples that one reading may have: a multiplexer keeps those of all its channels."""
         meters = self.instruments.voltmeters
-        return min(VOLTMETERS[m.driver].limits.of_channels(len(m.channels)).most_samples for m in meters)
+        return min(meter.kind.limits.of_channels(len(meter.channels)).most_samples for meter in meters)
 
     @property
     def least_samples(self) -> int:
         """Samples that one reading must have, so that every voltmeter takes it."""
-        return max(VOLTMETERS[meter.driver].limits.least_samples for meter in self.instruments.voltmeters)
+        return max(meter.kind.limits.least_samples for meter in self.instruments.voltmeters)
 
     @property
     def head_limits_rad(self) -> tuple[float, float] | None:
@@ -168,13 +174,43 @@ def load_bench(path: Path) -> BenchFile:
     return load_validated(path, BenchFile)
 
 
+class _WithUnknownInstruments(BenchFile):
+    """A recorded bench file with instruments that nobody here knows; it was checked whole when its run began."""
+
+    instruments: RecordedInstruments
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield nothing: what is between the parts cannot be told without the instruments."""
+        return ()
+
+
 def load_recorded_bench(path: Path) -> BenchFile:
     """Read the bench file of a run to evaluate it, without the effects that the simulation had.
 
-    No evaluation knows of them, and a run may have had some that the catalogue no longer has. Raises
-    `FileMistakes` with every mistake in all else.
+    No evaluation knows of them, and a run may have had some that the catalogue no longer has. Of an instrument
+    that came with a plug-in which is not here the section is kept as it is written. Raises `FileMistakes` with
+    every mistake in all else.
     """
     document = load_document(path)
     if isinstance(document.data, dict):
         document.data.pop("effects", None)
-    return validated(document, BenchFile)
+    known = not unknown_drivers(_sections_of(document.data))
+    return validated(document, BenchFile if known else _WithUnknownInstruments)
+
+
+def missing_drivers(path: Path) -> list[str]:
+    """Return the drivers that a bench file names and nobody here has. Raises `FileMistakes` where it is no file."""
+    return unknown_drivers(_sections_of(load_document(path).data))
+
+
+def foreign_drivers(bench: BenchFile) -> dict[str, str]:
+    """Return by name where those drivers came from that are none of the bench's own."""
+    origins = {section.driver: devices().origin(section.driver) for section in bench.instruments.all()}
+    return {name: origin for name, origin in origins.items() if origin}
+
+
+def _sections_of(data: Any) -> list[Any]:
+    meters = part(data, "instruments", "voltmeters")
+    sections = [part(data, "instruments", role) for role in ("head", "chamber")]
+    return [*(meters if isinstance(meters, list) else []), *sections]

@@ -8,17 +8,27 @@ from typing import Annotated
 from pydantic import Field
 
 from bench.base.forms import FileModel
-from bench.devices.chambers import ChamberSection
-from bench.devices.heads import HeadSection
-from bench.devices.voltmeters import VoltmeterSection
+from bench.devices.chambers import ChamberForm
+from bench.devices.heads import HeadForm
+from bench.devices.registry import chosen_by_driver
+from bench.devices.voltmeters import VoltmeterForm
 
 
 class InstrumentsSection(FileModel):
-    """Everything that is opened for a run."""
+    """Everything that is opened for a run; the driver chooses what else a section says."""
 
-    voltmeters: Annotated[tuple[VoltmeterSection, ...], Field(min_length=1)]
-    head: HeadSection
-    chamber: ChamberSection | None = None
+    voltmeters: Annotated[
+        tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter")], ...], Field(min_length=1)
+    ]
+    head: Annotated[HeadForm, chosen_by_driver("head")]
+    chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber")] = None
+
+    def all(self) -> Iterator[VoltmeterForm | HeadForm | ChamberForm]:
+        """Yield the section of every instrument: voltmeters, head, chamber."""
+        yield from self.voltmeters
+        yield self.head
+        if self.chamber is not None:
+            yield self.chamber
 
     @property
     def adapters(self) -> dict[str, str]:
@@ -32,8 +42,16 @@ class InstrumentsSection(FileModel):
 
     def names(self) -> Iterator[str]:
         """Yield the name of every instrument, then of every adapter."""
-        yield from (meter.name for meter in self.voltmeters)
-        yield self.head.name
-        if self.chamber is not None:
-            yield self.chamber.name
+        yield from (section.name for section in self.all())
         yield from self.adapters.values()
+
+
+class RecordedInstruments(InstrumentsSection):
+    """The instruments of a run that is evaluated: of those that nobody here knows what is written is kept."""
+
+    voltmeters: Annotated[
+        tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter", recorded=True)], ...],
+        Field(min_length=1),
+    ]
+    head: Annotated[HeadForm, chosen_by_driver("head", recorded=True)]
+    chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber", recorded=True)] = None

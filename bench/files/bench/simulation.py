@@ -8,21 +8,11 @@ from pydantic import Field, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC
 from bench.base.forms import FileModel
-from bench.base.units import (
-    QuantityKind,
-    Ratio,
-    ScaleFactor,
-    SizeRad,
-    SpanS,
-    TemperatureC,
-    VoltageV,
-    not_negative,
-)
-from bench.devices.chambers import SizeK
+from bench.base.units import Ratio, ScaleFactor, SizeRad, SpanS, TemperatureC, VoltageV
+from bench.devices.chambers import ChamberTruth
+from bench.devices.heads import HeadTruth
+from bench.devices.voltmeters import VoltmeterTruth
 
-TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
-
-RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
 Row = Annotated[tuple[ScaleFactor, ...], Field(min_length=3, max_length=3)]
 
 
@@ -69,39 +59,6 @@ class OperatorTruth(FileModel):
         if turn_time_s[0] > turn_time_s[1]:
             raise ValueError("the first is the shortest time, the second the longest")
         return turn_time_s
-
-
-class VoltmeterTruth(FileModel):
-    """The simulated voltmeters: with noise or not, with errors within the maker's limits or none."""
-
-    noise: bool = True
-    accuracy: Literal["90 days"] | None = None
-
-
-class HeadTruth(FileModel):
-    """A simulated motorised head: homed when it is switched on or not, with an encoder to notice being stuck."""
-
-    homed: bool = True
-    encoder: bool = True
-
-
-class ChamberTruth(FileModel):
-    """A simulated chamber with a controller: how fast it takes its air along, how it drifts back when off.
-
-    `lag` is how far the air is behind; `sensor_noise` the standard deviation of what its sensor shows.
-    """
-
-    rate: RateKS = 4.0 / 60.0
-    lag: SpanS = 120.0
-    off_lag: SpanS = 3600.0
-    sensor_noise: SizeK = 0.0
-
-    @field_validator("rate", "lag", "off_lag")
-    @classmethod
-    def _more_than_nothing(cls, size: float) -> float:
-        if size == 0.0:
-            raise ValueError("expected more than nothing: no chamber is at once where it is sent, nor never")
-        return size
 
 
 class FaultSection(FileModel):

@@ -236,7 +236,7 @@ class EarlyWarning:
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
         words = f"{misfit(judged, channels)}; {why(texts, at_fault)}"
-        return EarlySign.of(sighting.place, words, judged, channels, texts, self._in_a_row, at_fault)
+        return self._sign(sighting, judged, channels, words, texts, at_fault)
 
     def _noisy(self, sighting: Sighting, judged: Judgement) -> EarlySign:
         """Tell, once, that the bench is noisier than its file states."""
@@ -246,7 +246,20 @@ class EarlyWarning:
             f"repeats scatter by {millivolts(found)} where the bench file states "
             f"{millivolts(stated)}; warnings so far may come from that, and mistakes below it cannot be seen"
         )
-        return EarlySign.of(sighting.place, words, judged, CHANNELS, (cause,), self._in_a_row)
+        return self._sign(sighting, judged, CHANNELS, words, [cause])
+
+    def _sign(
+        self,
+        sighting: Sighting,
+        judged: Judgement,
+        channels: tuple[str, ...],
+        words: str,
+        causes: Sequence[str],
+        at_fault: str | None = None,
+    ) -> EarlySign:
+        place, sigma = sighting.place, tuple(judged.sigma[0].tolist())
+        sentence = f"{place}: {words}"
+        return EarlySign(sentence, place, channels, sigma, judged.p, tuple(causes), self._in_a_row, at_fault)
 
     def _blame_earlier(self, index: int, replay: Replay, member: int) -> tuple[str, list[str]]:
         """Strike an earlier reading and go on from the model without it; return its place and the causes."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from bench.base.arrays import Floats, Mask
 from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel, Mounting
@@ -127,6 +128,11 @@ class Judgement(NamedTuple):
     def sigma(self) -> Floats:
         """The residuals in standard deviations, shape (m, 3)."""
         return self.residual / np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
+
+    @property
+    def p(self) -> float:
+        """The probability of so large a misfit of the first member by chance."""
+        return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
         """Minus twice the log likelihood up to a constant, shape (m,); a misfit costs no more than `most`."""

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from scipy.special import chdtrc
-
 from bench.base.arrays import CHANNELS
 from bench.run.watch.expectation import Judgement
 
@@ -30,29 +28,11 @@ class EarlySign:
     sentence: str
     place: str
     channels: tuple[str, ...]
-    sigma: tuple[float, float, float]
+    sigma: tuple[float, ...]
     p: float
     causes: tuple[str, ...]
     in_a_row: int
     at_fault: str | None = None
-
-    @classmethod
-    def of(
-        cls,
-        place: str,
-        words: str,
-        judged: Judgement,
-        channels: Sequence[str],
-        causes: Sequence[str],
-        in_a_row: int,
-        at_fault: str | None = None,
-    ) -> EarlySign:
-        """Return the sign of a reading at a place, judged so; `words` follow the place in the sentence."""
-        x, y, z = (float(value) for value in judged.sigma[0])
-        p = float(chdtrc(3, judged.chi2[0]))
-        return cls(
-            f"{place}: {words}", place, tuple(channels), (x, y, z), p, tuple(causes), in_a_row, at_fault
-        )
 
     def to_json(self) -> dict[str, Any]:
         """Return it as the data of an event."""

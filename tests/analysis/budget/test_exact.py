@@ -42,6 +42,7 @@ def test_where_linear_propagation_fails_the_verdict_says_so():
     assert found.trials.mean[kxx] == pytest.approx(expected, abs=4 * found.trials.u[kxx] / np.sqrt(4000))
 
 
+@pytest.mark.slow
 def test_against_a_simulation_that_uses_nothing_of_the_model():
     """1200 runs of the tests' own bench through the closed form's gain: spread within four standard errors."""
     setup = paper_setup()

@@ -11,12 +11,12 @@ from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import bench_sources, stand_source
 from bench.analysis.calibration import CalibrationError
-from bench.devices.voltmeters import VOLTMETERS
+from bench.devices.registry import devices
+from bench.devices.voltmeters import VoltmeterKind
 from bench.files.bench.file import FileMistakes, load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, AppliedEffect, Distribution
 from bench.procedure.load import load_procedure
-from sim.agilent_34401a.converter import _SPEC_90_DAYS
 from tests.support.budget_bench import COEFFICIENTS, paper_setup, stand
 from tests.support.paper_bench import ARCSEC, TRUTH, K
 
@@ -64,12 +64,13 @@ def test_the_shipped_bench():
     ]  # fmt: skip
 
 
-def test_the_meters_limits_are_those_of_the_simulated_meter():
-    """Both halves of the program state them on their own; they must not come apart."""
-    for kind in VOLTMETERS.values():
-        assert {r: kind.accuracy[r] for r in kind.limits.ranges_v} == {
-            r: _SPEC_90_DAYS[r] for r in kind.limits.ranges_v
-        }
+def test_the_meters_limits_are_those_of_their_manuals():
+    """34401A User's Guide, chapter 8; 34970A data sheet: the specification of 90 days."""
+    told = {d.name: VoltmeterKind.of(d.section.facts).accuracy for d in devices().of("voltmeter")}
+    assert told["agilent-34401a"][10.0] == told["keysight-34970a"][10.0] == (20e-6, 5e-6)
+    assert told["agilent-34401a"][1000.0] == (35e-6, 10e-6)
+    assert told["keysight-34970a"][300.0] == (35e-6, 20e-6)
+    assert told["keysight-34461a"][0.1] == (40e-6, 35e-6)
 
 
 def test_the_section_uncertainty_is_used(tmp_path):

@@ -28,6 +28,7 @@ def level(request):
     return noise_v, batch, np.sqrt(np.diag(dense.covariance))
 
 
+@pytest.mark.slow
 def test_the_spread_is_the_stated_uncertainty(level):
     """Promised: within 4 %; what 4,000 runs can tell comes on top. More in benchmarks/honest_uncertainty.py."""
     _, batch, _ = level

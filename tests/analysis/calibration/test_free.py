@@ -110,6 +110,7 @@ def test_value_and_covariance_are_those_of_scipy():
     assert np.array_equal(result.u[[3, 6, 7]], [0, 0, 0])
 
 
+@pytest.mark.slow
 def test_uncertainty_of_free_positions_alone_is_honest():
     """(estimate - truth)/u over 150 runs of 20 positions, seeds [6, k]; truth is K turned to upper triangular."""
     # K = truth times a rotation, truth upper triangular with a positive diagonal: K K^T = truth truth^T
@@ -155,6 +156,7 @@ def test_too_few_or_alike_positions_are_refused():
         calibrate(free_alone(0, 0, 1, hyperboloid), MODEL, {}, 9.81)
 
 
+@pytest.mark.slow
 def test_command_line_with_counts(bench):
     status, out, err = bench(
         "calibrate", DATA / "xsens-38.csv", "--g", 9.81744, "--json", "-", "--out", "here"
@@ -282,6 +284,7 @@ def test_joined_estimate_is_that_of_the_textbook():
     assert np.all(np.abs(gradient) < 1e-2 * np.sqrt(np.diag(covariance)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("passes", [1, 3])
 def test_uncertainty_with_free_positions_is_honest(passes):
     """80 runs, sizes of the noise unknown, a third mounting angle in each installation; seed [12, k]."""

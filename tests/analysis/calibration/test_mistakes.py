@@ -157,6 +157,7 @@ def test_nominal_angles_in_place_of_those_read_back():
         calibrate(readings, MODEL, STAND_U, 9.81, nominal_angles=True)
 
 
+@pytest.mark.slow
 def test_least_squares_weighs_all_alike_and_is_honest():
     """Against numpy's least squares on the nominal forces; its errors over u in 100 runs, seeds [71, k]."""
     z = []

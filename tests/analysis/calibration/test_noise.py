@@ -126,6 +126,7 @@ def test_the_nonlinearity_in_the_model_is_recovered(noise_v):
     assert result.model == "quadratic_nonlinearity"
 
 
+@pytest.mark.slow
 def test_uncertainty_of_a_recovered_effect_is_honest():
     """Root mean square of (estimate - truth)/u of three K2 over 60 runs, seed [41, k]: chi-square of 180."""
     model = with_effect("quadratic_nonlinearity")

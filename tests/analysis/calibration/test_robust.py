@@ -31,6 +31,7 @@ def clean():
     return [(robust(t), calibrate(t, MODEL, STAND_U, 9.81)) for t in tables]
 
 
+@pytest.mark.slow
 def test_efficiency_on_clean_data(clean):
     """Promised: 0.95 or more, the variance of the default estimator over that of the robust one."""
     errors = [np.array([r[i].block.vector - TRUTH for r in clean]) for i in (0, 1)]

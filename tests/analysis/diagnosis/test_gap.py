@@ -40,6 +40,7 @@ def test_prediction_is_the_conditional_gaussian(label):
     assert chi2 == pytest.approx(expected @ np.linalg.solve(spread, expected), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_held_out_chi_square_of_nulls_is_its_floor():
     """60 nulls (seed 42), each pass held out at known noise: mean of 180 reduced chi-squares of 54.
 
@@ -86,6 +87,7 @@ def test_where_names_channel_installation_and_harmonic():
     assert first.size == pytest.approx(0.5 * 2.14 * 150e-6, rel=0.15)
 
 
+@pytest.mark.slow
 def test_where_is_silent_on_nulls():
     """40 nulls at 1 %, all looks counted: more than 4 have a probability of about 6e-5 (binomial)."""
     rng = np.random.default_rng(46)

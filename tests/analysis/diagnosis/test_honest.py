@@ -103,6 +103,7 @@ def diagnosed(readings, model=MODEL):
     return diagnose(readings, model, STAND, None, Fixed(None))
 
 
+@pytest.mark.slow
 def test_readings_without_times_say_so():
     readings = paper_run(np.random.default_rng(3))
     assert diagnosed(readings).notes == ()
@@ -110,6 +111,7 @@ def test_readings_without_times_say_so():
     assert "no times in the readings: 2 min a setting and 20 min for a remount" in note
 
 
+@pytest.mark.slow
 def test_signals_in_g_are_no_voltages_and_no_procedure_is_proposed_to_show_volts():
     readings = paper_run(np.random.default_rng(3))
     found = diagnosed(replace(readings, unit="g", signal=readings.signal / 2.14))
@@ -134,6 +136,7 @@ def with_references(table, *stated):
     return replace(table, **longer, extra={"reference_v": voltages})
 
 
+@pytest.mark.slow
 def test_a_reference_whose_value_nobody_stated_shows_no_gain():
     plain = paper_run(np.random.default_rng(3))
     known, unknown = diagnosed(with_references(plain, "2", "-2")), diagnosed(with_references(plain, "", ""))
@@ -167,6 +170,7 @@ def test_a_stated_value_is_contradicted_by_what_the_readings_add():
     assert list(contradicted([stated(100e-6, 8e-6)], [stated(weight * 1e-6, u * 1e-6)])) == []
 
 
+@pytest.mark.slow
 def test_a_model_of_another_block_is_told_and_the_page_is_written(bench):
     Path("stated.yaml").write_text(K2_STATED, encoding="utf-8")
     status, _, err = bench("diagnose", measured("null.csv"), "--model", "stated.yaml", "--json", "d.json")

@@ -39,6 +39,7 @@ def examine(readings):
     return diagnose(readings, MODEL, STAND, np.array([-2.18, -2.14, -2.14]), Ready(None))
 
 
+@pytest.mark.slow
 def test_a_quadratic_term_is_named_added_and_closes_the_gap():
     found = examine(paper_run(np.random.default_rng(21), K2=(0.0, 80e-6, 0.0)))
     assert found.verdict == "named"
@@ -64,6 +65,7 @@ def test_nothing_is_found_where_nothing_is():
     assert set(found.hidden) >= {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity"}
 
 
+@pytest.mark.slow
 def test_equal_quadratic_terms_are_never_named_alone():
     found = examine(paper_run(np.random.default_rng(23), K2=(60e-6, 60e-6, 60e-6)))
     assert found.verdict == "confounded"
@@ -71,6 +73,7 @@ def test_equal_quadratic_terms_are_never_named_alone():
     assert {"quadratic_nonlinearity", "voltmeter_nonlinearity"} <= names
 
 
+@pytest.mark.slow
 def test_two_effects_are_both_found():
     found = examine(paper_run(np.random.default_rng(24), K2=(0, 120e-6, 0), drift_v_per_h=(0, 0, 150e-6)))
     sets = [{e.name, *e.cannot_tell_from} for e in found.effects]
@@ -78,6 +81,7 @@ def test_two_effects_are_both_found():
     assert any("bias_drift" in names for names in sets)
 
 
+@pytest.mark.slow
 def test_backlash_is_seen_with_both_directions_only():
     """All rising it is one with an offset of zero; with one pass falling its 100 arcsec stand out."""
     both = examine(paper_run(np.random.default_rng(25), directions=(1, -1, 1), backlash_rad=100 * ARCSEC))
@@ -87,6 +91,7 @@ def test_backlash_is_seen_with_both_directions_only():
     assert rising.detectable["backlash"] > 2 * both.detectable["backlash"]
 
 
+@pytest.mark.slow
 def test_a_mounting_roll_is_hidden_without_verification_points():
     found = examine(paper_run(np.random.default_rng(26), verification=False))
     assert "mounting_roll" in found.hidden
@@ -94,6 +99,7 @@ def test_a_mounting_roll_is_hidden_without_verification_points():
     assert "mounting_roll" not in found.hidden
 
 
+@pytest.mark.slow
 def test_the_threshold_keeps_false_alarms_rare():
     """1,500 fresh nulls at 0.3 %: 4.5 expected; 17 or more have a probability below 1e-5 (Poisson)."""
     one = set_up(paper_run(np.random.default_rng(27)))
@@ -116,6 +122,7 @@ def test_the_tail_of_an_exponential_is_found():
     assert limit.value == pytest.approx(-0.7 * np.log(FALSE_ALARMS), rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_cached_threshold_belongs_to_its_design(tmp_path, monkeypatch):
     """Times and temperatures are part of the design; the size of a signal's noise digits is not."""
     monkeypatch.setattr("bench.analysis.diagnosis.threshold.NULLS", 300)
@@ -143,6 +150,7 @@ def test_a_cached_threshold_belongs_to_its_design(tmp_path, monkeypatch):
     assert len(list((tmp_path / "kept").glob("*.json"))) == 3
 
 
+@pytest.mark.slow
 def test_what_was_settled_before_is_hashed():
     found = examine(paper_run(np.random.default_rng(22)))
     again = examine(paper_run(np.random.default_rng(31)))
@@ -157,6 +165,7 @@ def test_the_record_is_left_as_it_is():
     np.testing.assert_array_equal(readings.signal, before)
 
 
+@pytest.mark.slow
 def test_signals_that_are_not_volts_have_no_effects_in_microvolts():
     """The same run in units of 10 mV as "counts": the block's effect is named alike, the meters' are hidden."""
     readings = paper_run(np.random.default_rng(21), K2=(0.0, 80e-6, 0.0))
@@ -167,6 +176,7 @@ def test_signals_that_are_not_volts_have_no_effects_in_microvolts():
     assert not any(v.family == "range_offset" for v in found.candidates.variants)
 
 
+@pytest.mark.slow
 def test_what_the_model_has_is_not_found_again_and_the_other_channels_are():
     readings = paper_run(np.random.default_rng(33), K2=(100e-6, 80e-6, 0.0))
     has_y = AppliedEffect(

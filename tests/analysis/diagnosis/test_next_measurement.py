@@ -70,6 +70,7 @@ steps:
 """
 
 
+@pytest.mark.slow
 def test_what_is_planned_is_what_a_run_then_gives(bench, tmp_path):
     path = tmp_path / "short.yaml"
     path.write_text(SHORT)

@@ -50,6 +50,7 @@ def test_the_effect_is_taken_off_at_the_verification_points():
     assert abs(found.values["K2"][1] - 3e-3) < 4 * found.u["K2"][1]
 
 
+@pytest.mark.slow
 def test_the_fresh_test_fails_before_and_passes_after():
     p = []
     for seed in range(20, 30):
@@ -89,6 +90,7 @@ def test_an_effect_that_only_verification_points_show_lets_them_take_part():
     assert without.after.points == ()
 
 
+@pytest.mark.slow
 def test_a_rival_changes_the_coefficients_as_a_calibration_with_it_does(tmp_path):
     readings = paper_run(np.random.default_rng(7), K2=(0.0, 6e-5, 0.0), verification=False)
     diagnosis = diagnose(readings, MODEL, STAND, None, ThresholdCache(Path(tmp_path)))

@@ -155,6 +155,7 @@ def test_what_cannot_be_compared_is_refused():
         compare([snapshot(TRUTH), snapshot(TRUTH, name="y", covariance=np.diag([0.0] + [1e-10] * 11))])
 
 
+@pytest.mark.slow
 def test_calibrations_of_simulated_readings_agree_and_a_moved_bias_is_found():
     """Through the calibration itself: the covariances that it gives are the ones that count here."""
     chi2 = []
@@ -177,6 +178,7 @@ def readings_files(folder):
         write_csv(table, folder / f"r{k}.csv")
 
 
+@pytest.mark.slow
 def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_path):
     readings_files(tmp_path)
     bench("calibrate", "r0.csv", "--json", "r0.json")
@@ -200,6 +202,7 @@ def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_pat
     assert bench("compare", "r0.json", "r2.csv")[0] == 0
 
 
+@pytest.mark.slow
 def test_runs_bring_their_dates_and_their_block(bench, tmp_path):
     bench("run", "quick", "--dry-run", "--name", "q")
     status, out, _ = bench("compare", "q", "runs/q/calibrate.json", "--json", "q.json", "--strict")

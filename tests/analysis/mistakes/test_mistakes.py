@@ -80,6 +80,7 @@ EVERYWHERE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "scope"), EVERYWHERE)
 def test_a_gross_mistake_is_found_named_placed_and_put_right(name, scope):
     for seed in range(7):  # in three scopes
@@ -123,6 +124,7 @@ def test_signs_and_order_of_channels_are_put_right_in_free_and_input_rows_too():
     np.testing.assert_array_equal(turned.signal[-1], good.signal[-1] * [1, -1, 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["1 deg", "10 arcmin", "1 arcmin", "reflected"])
 def test_a_wrong_setting_is_found_and_its_angle_put_right(size):
     for seed in range(20):
@@ -153,6 +155,7 @@ def test_a_wrong_setting_is_found_and_its_angle_put_right(size):
         assert mistake.evidence.before > mistake.evidence.after
 
 
+@pytest.mark.slow
 def test_an_outlier_is_found_and_its_reading_left_out():
     for seed in range(20):
         rng = np.random.default_rng([23, seed])
@@ -175,6 +178,7 @@ def test_an_outlier_is_found_and_its_reading_left_out():
             assert len(result.corrected.skipped) == 1
 
 
+@pytest.mark.slow
 def test_outliers_of_eight_standard_deviations_are_mostly_found():
     found = 0
     for seed in range(30):
@@ -188,6 +192,7 @@ def test_outliers_of_eight_standard_deviations_are_mostly_found():
     assert found >= 30 * (0.85 - 3 * np.sqrt(0.85 * 0.15 / 30))
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_wrong():
     # each run fires with a probability below 1e-4
     for seed in range(300):
@@ -197,12 +202,14 @@ def test_nothing_is_found_where_nothing_is_wrong():
         assert result.corrected is readings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_large_effect_is_no_mistake(effect):
     for seed in range(8):
         assert find(run([32, seed], **EFFECTS[effect])).mistakes == (), seed
 
 
+@pytest.mark.slow
 def test_a_mistake_is_found_beside_a_large_effect():
     for seed, options in enumerate(EFFECTS.values()):
         readings = run([33, seed], off=(22, np.radians(1 / 6)), **options)
@@ -226,6 +233,7 @@ PAIRS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS)
 def test_two_mistakes_are_found(pair):
     for seed in range(3):
@@ -262,6 +270,7 @@ def test_a_single_pass_shows_gross_mistakes_and_large_slips():
     assert (slip.name, slip.point) == ("wrong_setting", 6)
 
 
+@pytest.mark.slow
 def test_a_block_with_all_signs_against_its_data_sheet_is_told_channel_by_channel():
     result = find_mistakes(run(53), MODEL, STAND_U, -NOMINAL)
     assert [m.name for m in result.mistakes] == ["reversed_polarity"] * 3

@@ -17,6 +17,7 @@ from tests.support.paper_bench import U0, K, specific_force
 from tests.support.planning_bench import COST, PAPER, SIZES, STAND, sites, whole
 
 
+@pytest.mark.slow
 def test_what_the_papers_settings_give_takes_hardly_fewer():
     """Spread evenly and repeated, they are within a percent of the best 54 for the whole error vector."""
     asked = vector_goal(STAND.block).u(STAND.covariance(PAPER))
@@ -38,6 +39,7 @@ def test_a_plan_reaches_what_was_asked_and_one_setting_less_would_hardly():
     assert best_of(candidates, goals, 2, found.count - 2).largest > 1.0
 
 
+@pytest.mark.slow
 def test_the_uncertainty_promised_is_what_calibrations_state():
     """16 simulated runs of a plan: the mean u^2 of each coefficient within 25 % of what was promised.
 
@@ -80,6 +82,7 @@ def test_no_plan_has_fewer_settings_than_tell_the_noise():
     assert widening(6) == pytest.approx(math.sqrt(2))
 
 
+@pytest.mark.slow
 def test_more_mountings_are_taken_where_they_alone_help():
     """Kyx is held by the limits of alpha2 and alpha3: mounting the block again draws them anew."""
     goals = whole(coefficient_goals({"Kyx": 15e-6}))
@@ -97,6 +100,7 @@ def test_a_plan_for_one_coefficient_still_calibrates_the_block():
     assert vector_goal(STAND.block).u(found.covariance) < 1e-3
 
 
+@pytest.mark.slow
 def test_more_time_is_never_worse_and_is_kept_to():
     goals = [vector_goal(STAND.block, 5.0, 1e-3)]
     last = np.inf

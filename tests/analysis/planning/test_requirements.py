@@ -87,6 +87,7 @@ def test_where_the_others_exceed_it_already_no_size_helps():
     assert limit(asked, "axis_tilt").to_json()["u"] is None
 
 
+@pytest.mark.slow
 def test_the_limit_holds_in_simulated_runs():
     """1,500 runs by the tests' own simulation: 3 standard deviations of the worst delta g, known to 2 %."""
     asked = required("closed-form", psi=0.0)
@@ -131,6 +132,7 @@ TARGETS = {
 }
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(
     st.sampled_from(["closed-form", "least-squares", "gls"]),

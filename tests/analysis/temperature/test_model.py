@@ -31,6 +31,7 @@ def several(count=8):
     return np.array(errors), np.array(tests)
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_honest_over_the_whole_range():
     """Runs are independent, the coefficients of one nearly so, and 30 temperatures worth about two values."""
     z2 = several()[0] ** 2

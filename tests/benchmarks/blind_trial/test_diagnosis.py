@@ -21,12 +21,14 @@ def judged(row, index):
     return answer, diagnosis, judge(case, answer, diagnosis)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [Row("null"), Row("null", noise_factor=1.3)], ids=lambda row: row.key)
 def test_nothing_is_found_where_nothing_is(row):
     for index in range(3):
         assert judged(row, index)[2]["agrees"]
 
 
+@pytest.mark.slow
 def test_an_effect_of_20_is_found_and_the_truth_is_in_the_set():
     for index in range(0, 30, 5):
         answer, diagnosis, marks = judged(Row("single", rho=20), index)
@@ -42,12 +44,14 @@ def test_every_mistake_is_found_by_its_name(kind):
     assert marks["in the set"]
 
 
+@pytest.mark.slow
 def test_equal_quadratic_terms_are_not_given_a_name_alone():
     _, diagnosis, marks = judged(Row("equal_k2", rho=12), 0)
     assert marks["in the set"]
     assert diagnosis["verdict"] == "confounded"
 
 
+@pytest.mark.slow
 def test_what_nothing_can_show_is_listed():
     for index in range(2):
         marks = judged(Row("hidden"), index)[2]

@@ -19,6 +19,7 @@ def test_interval_is_the_published_one(successes, of, low, high):
     assert Share(successes, of).interval == pytest.approx((low, high), abs=5e-5)
 
 
+@pytest.mark.slow
 def test_ties_are_those_of_the_table_and_twelve_angles_break_them():
     for name in ("cubic_nonlinearity", "odd_quadratic_nonlinearity"):
         case, answer = single(name)

@@ -99,6 +99,7 @@ def command(*arguments: object) -> int:
     return int(str(ended.value.code))
 
 
+@pytest.mark.slow
 def test_a_dry_run_logs_every_exchange_of_every_meter(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

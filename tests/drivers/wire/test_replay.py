@@ -30,7 +30,8 @@ from drivers.wire.replay import (
     replayed,
 )
 from drivers.wire.visa import MessageSession
-from drivers.zaber.driver import READ_TERMINATION, ZaberHead
+from drivers.zaber.driver import ZaberHead
+from drivers.zaber.facts import READ_TERMINATION
 from sim.agilent_34401a.meter import Agilent34401A as SimulatedMeter
 from sim.world.inputs import Terminals
 from tests.drivers.wire.test_faulty_wire import CHAMBERS, DEG, HEADS, at_random, dialect

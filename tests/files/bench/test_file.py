@@ -7,12 +7,10 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from bench.base.forms import FileMistakes, sha256_of_file
-from bench.devices.voltmeters import VOLTMETERS
+from bench.devices.registry import devices
+from bench.devices.voltmeters import VoltmeterKind
 from bench.files.bench.file import STAND_ERRORS, load_bench
 from bench.files.shipped import find_bench
-from drivers.agilent_34401a import driver as agilent_34401a
-from drivers.keysight_34461a import driver as keysight_34461a
-from drivers.keysight_34970a import driver as keysight_34970a
 
 
 @pytest.fixture
@@ -87,31 +85,17 @@ def test_installations_are_the_papers_two_and_the_stated_ones():
 
 
 @pytest.mark.parametrize(
-    ("driver", "ranges_v", "nplc", "memory_readings"),
+    ("driver", "highest_v", "nplc", "memory_readings"),
     [
-        (
-            "agilent-34401a",
-            agilent_34401a.RANGES_V,
-            agilent_34401a.NPLC,
-            agilent_34401a.MEMORY_SAMPLES,
-        ),
-        (
-            "keysight-34461a",
-            agilent_34401a.RANGES_V,
-            agilent_34401a.NPLC,
-            keysight_34461a.MEMORY_SAMPLES["34461A"],
-        ),
-        (
-            "keysight-34970a",
-            keysight_34970a.RANGES_V,
-            keysight_34970a.NPLC,
-            keysight_34970a.MEMORY_READINGS,
-        ),
+        ("agilent-34401a", 1000.0, (0.02, 0.2, 1.0, 10.0, 100.0), 512),
+        ("keysight-34461a", 1000.0, (0.02, 0.2, 1.0, 10.0, 100.0), 10_000),
+        ("keysight-34970a", 300.0, (0.02, 0.2, 1.0, 2.0, 10.0, 20.0, 100.0, 200.0), 50_000),
     ],
 )
-def test_voltmeters_can_what_their_driver_can(driver, ranges_v, nplc, memory_readings):
-    limits = VOLTMETERS[driver].limits
-    assert (limits.ranges_v, limits.nplc, limits.most_samples) == (ranges_v, nplc, memory_readings)
+def test_voltmeters_can_what_their_manuals_say(driver, highest_v, nplc, memory_readings):
+    limits = VoltmeterKind.of(devices().get(driver).section.facts).limits
+    assert limits.ranges_v == (0.1, 1.0, 10.0, 100.0, highest_v)
+    assert (limits.nplc, limits.most_samples) == (nplc, memory_readings)
 
 
 def test_what_is_left_out_has_its_default(tmp_path, paper_text):

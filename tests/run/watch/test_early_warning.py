@@ -86,6 +86,7 @@ def channels(order, signs=(1, 1, 1)):
     return lambda signal: signal[:, order] * signs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 300), (2e-5, 100)])
 def test_good_runs_are_silent(noise_v, runs):
     """No more alarms than 1 % of runs would give but once in a thousand times."""
@@ -102,6 +103,7 @@ def test_noise_as_large_as_stated_is_found_to_be_so():
     assert found.setting_rad < 2.5 * SETTING_U_RAD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "cause"),
     [

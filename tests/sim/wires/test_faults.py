@@ -13,12 +13,13 @@ import pytest
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from sim.agilent_34401a.meter import Agilent34401A
-from sim.bench import SimulatedBench, SimulatedMeter
+from sim.bench import SimulatedBench
 from sim.scpi.instrument import never
 from sim.wires.faults import Fault, FaultKind, FaultyInstrument
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
+from tests.support.simulated_stand import a_34401a
 
 BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
 IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2\n"
@@ -29,7 +30,7 @@ def a_world(seed: int = 5) -> World:
 
 
 def a_meter(interface: str = "lan") -> Agilent34401A:
-    meter = SimulatedMeter("x", noise=False, interface=interface)  # type: ignore[arg-type]
+    meter = a_34401a("x", noise=False, interface=interface)  # type: ignore[arg-type]
     return meter.on(a_world())
 
 
@@ -227,7 +228,7 @@ def test_hanging_ends_with_its_time_a_device_clear_or_a_power_cycle() -> None:
 @contextmanager
 def wired(*data: dict[str, object]) -> Iterator[tuple[SimulatedBench, socket.socket]]:
     faults = [Fault.parse(d) for d in data]
-    meters = {"v": SimulatedMeter("x", noise=False)}
+    meters = {"v": a_34401a("x", noise=False)}
     with (
         SimulatedBench(a_world(), meters, faults=faults) as bench,
         socket.create_connection(("127.0.0.1", bench.servers["v"].port), timeout=PATIENCE_S) as client,
@@ -318,7 +319,7 @@ def test_a_device_clear_of_another_client_ends_a_long_reading() -> None:
             threading.Event().wait(0.001)
 
     world = World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), Slow())
-    with SimulatedBench(world, {"v": SimulatedMeter("x")}) as bench:
+    with SimulatedBench(world, {"v": a_34401a("x")}) as bench:
         address = ("127.0.0.1", bench.servers["v"].port)
         with (
             socket.create_connection(address) as a,

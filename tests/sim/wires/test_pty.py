@@ -22,12 +22,13 @@ from drivers.clock import SystemClock
 from drivers.interfaces import VoltmeterSettings
 from drivers.wire.visa import MessageSession
 from sim.agilent_34401a.meter import Agilent34401A
-from sim.bench import SimulatedBench, SimulatedMeter
+from sim.bench import SimulatedBench
 from sim.wires.pty import TERMINALS, TerminalServer
 from sim.wires.session import ServedInstrument
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
+from tests.support.simulated_stand import a_34401a
 
 pytestmark = pytest.mark.skipif(not TERMINALS, reason="this system has no pseudo-terminals")
 
@@ -69,7 +70,7 @@ class Client:
 
 @contextmanager
 def one_meter(interface: str = "lan") -> Iterator[tuple[SimulatedBench, str]]:
-    meter = SimulatedMeter("x", noise=False, interface=interface)  # type: ignore[arg-type]
+    meter = a_34401a("x", noise=False, interface=interface)  # type: ignore[arg-type]
     with SimulatedBench(a_world(), {"v": meter}, with_terminals=True) as bench:
         yield bench, bench.terminals["v"].path
 

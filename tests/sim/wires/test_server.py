@@ -11,19 +11,20 @@ import pyvisa
 
 from bench.model import Block, Conditions, Distribution, ForwardModel, stand_errors
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from sim.bench import SimulatedBench, SimulatedMeter
+from sim.bench import SimulatedBench
 from sim.wires.server import TcpServer
 from sim.wires.session import DROP, REFUSE, SILENCE, Framer, Overflow, WireFault
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
+from tests.support.simulated_stand import a_34401a
 
 BLOCK = Block(
     np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
     np.array([0.07, -0.2, -0.41]),
 )
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
-METERS = {f"voltmeter.{c}": SimulatedMeter(c, noise=False) for c in ("x", "y", "z")}
+METERS = {f"voltmeter.{c}": a_34401a(c, noise=False) for c in ("x", "y", "z")}
 IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2\n"
 
 
@@ -64,7 +65,7 @@ def a_bench(world: World | None = None) -> Iterator[SimulatedBench]:
 def one_meter(
     fault: Callable[[bytes, bytes | None], WireFault | None] | None = None, tolerance_s: float = PATIENCE_S
 ) -> Iterator[tuple[TcpServer, Client]]:
-    with SimulatedBench(a_world(), {"v": SimulatedMeter("x", noise=False)}) as bench:
+    with SimulatedBench(a_world(), {"v": a_34401a("x", noise=False)}) as bench:
         server = bench.servers["v"]
         if fault is not None:
             server.fault = fault
@@ -171,7 +172,7 @@ def test_control_c_ends_a_long_reading_on_a_clock_that_takes_its_time() -> None:
 
     world = World(WorldSettings(BLOCK, MODEL, {}, 5), Slow())
     with (
-        SimulatedBench(world, {"v": SimulatedMeter("x")}) as bench,
+        SimulatedBench(world, {"v": a_34401a("x")}) as bench,
         Client(bench.servers["v"].port) as client,
     ):
         client.write(b"VOLT:NPLC 100;:READ?\n")

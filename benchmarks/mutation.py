@@ -1,0 +1,73 @@
+"""Would the tests notice? Small faults are put into the calibration and the runner, one at a time.
+
+    python -m benchmarks.mutation --mutants 30 --seed 1
+
+mutmut changes a copy of the program (an operator, a number, an argument left out) and runs the tests that reach
+the changed function, those not marked slow, until one fails: the mutant is killed. A sample drawn by the seed
+stands for all; each survivor is shown with its change, for a person to judge: many change nothing that counts (a
+message's words, a default that nobody takes). Exit status 1 when fewer are killed than `--least` asks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+FIRST = "bench.analysis.calibration.linear.*__mutmut_1"
+"""A few, to have all made and the tests timed."""
+
+
+def mutmut(*arguments: str) -> str:
+    """Run mutmut on this tree and return what it prints; what goes wrong ends the program with it."""
+    command = [sys.executable, "-m", "mutmut", *arguments]
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}  # the copy is to be imported
+    done = subprocess.run(  # noqa: S603 - a tool of our own environment
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        sys.exit(done.stdout[-4000:] + done.stderr)
+    return done.stdout
+
+
+def verdicts() -> dict[str, str]:
+    """Return what became of each mutant, by its name: "killed", "survived", "not checked", …"""
+    lines = (line.strip() for line in mutmut("results", "--all", "true").splitlines())
+    return dict(line.split(": ", 1) for line in lines if "__mutmut_" in line)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mutants", type=int, default=30, help="how many are tried")
+    parser.add_argument("--seed", type=int, default=1, help="which are tried")
+    parser.add_argument("--least", type=float, default=0.0, help="the share that is to be killed")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    given = parser.parse_args()
+    children = ("--max-children", str(given.processes))
+
+    mutmut("run", *children, FIRST)
+    names = sorted(verdicts())
+    chosen = random.Random(given.seed).sample(names, min(given.mutants, len(names)))  # noqa: S311 - a sample
+    mutmut("run", *children, *chosen)
+    found = {name: verdict for name, verdict in verdicts().items() if name in set(chosen)}
+
+    survivors = sorted(name for name, verdict in found.items() if verdict != "killed")
+    for name in survivors:
+        print(f"\n{found[name]}: {mutmut('show', name)}")
+    rooms = Counter(name.rpartition(".")[0] for name in chosen)
+    lived = Counter(name.rpartition(".")[0] for name in survivors)
+    print(f"\n{'module':44}{'tried':>7}{'killed':>8}")
+    for room, tried in sorted(rooms.items()):
+        print(f"{room:44}{tried:7}{tried - lived[room]:8}")
+    killed = len(chosen) - len(survivors)
+    print(f"{'all':44}{len(chosen):7}{killed:8}   of {len(names)} mutants, seed {given.seed}")
+    return 0 if killed >= given.least * len(chosen) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

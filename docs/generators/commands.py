@@ -1,0 +1,84 @@
+"""The page on commands, from the command line's own description of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import typer
+
+import bench.cli.app  # noqa: F401 - it brings the commands
+from bench.cli.options import app
+from docs.generators.markdown import code, table
+
+_INTRODUCTION: Final = """\
+# Commands
+
+`bench COMMAND --help` says the same. Exit status of every command: 0 done and accepted, 1 done and not
+accepted, 2 could not be done, with one clear line on standard error; `bench --debug COMMAND …` shows the
+traceback of an error. A result as JSON (`--json FILE`, `-` for standard output) has the form that
+[results](results.md) describes.
+"""
+
+
+def commands() -> dict[str, Any]:
+    """Return the commands by name, those of groups as "group name"."""
+    return dict(_all(typer.main.get_command(app), ""))
+
+
+def _all(command: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, inner in getattr(command, "commands", {}).items():
+        whole = f"{prefix} {name}".strip()
+        if getattr(inner, "commands", None):
+            yield from _all(inner, whole)
+        else:
+            yield whole, inner
+
+
+def page() -> str:
+    """Return the page."""
+    parts = [_INTRODUCTION]
+    parts += [_section(name, command) for name, command in commands().items()]
+    return "\n\n".join(parts)
+
+
+def _section(name: str, command: Any) -> str:
+    context = typer.Context(command, info_name=f"bench {name}")
+    if hasattr(command, "get_help"):
+        command.get_help(context)  # texts that are made when help is shown are there afterwards
+    usage = " ".join([f"bench {name}", *command.collect_usage_pieces(context)])
+    parts = [f"## {name}", command.help or "", f"```text\n{usage}\n```"]
+    rows = [row for option in command.params for row in _rows(option)]
+    if rows:
+        parts.append(table(("argument or option", "what it is", "left out"), rows))
+    if command.epilog and command.epilog.startswith("Example: "):
+        parts.append(f"Example: {code(command.epilog.removeprefix('Example: '))}")
+    return "\n\n".join(part for part in parts if part)
+
+
+def _rows(option: Any) -> Iterator[tuple[str, str, str]]:
+    if getattr(option, "hidden", False):
+        return
+    help_text = getattr(option, "help", None) or ""
+    default = option.default
+    if option.param_type_name == "argument":
+        yield (
+            code(option.metavar or option.name.upper()),
+            help_text,
+            "" if not option.required else "must stand",
+        )
+        return
+    names = ", ".join(code(name) for name in (*option.opts, *option.secondary_opts))
+    value = "" if option.is_flag else f" {code(option.metavar or _kind(option))}"
+    shown = "" if default is None or option.is_flag or callable(default) or default == () else code(default)
+    environment = f"; also {code(option.envvar)}" if option.envvar else ""
+    yield f"{names}{value}", f"{help_text}{environment}", "must stand" if option.required else shown
+
+
+def _kind(option: Any) -> str:
+    """Return what the value of an option is, in capitals as the help shows it."""
+    annotation = getattr(getattr(option, "type_descriptor", None), "annotation", None)
+    kind = getattr(annotation, "__name__", "") or getattr(getattr(option, "type", None), "name", "")
+    return {"str": "TEXT", "int": "NUMBER", "float": "NUMBER", "Path": "FILE"}.get(
+        kind, kind.upper() or "VALUE"
+    )

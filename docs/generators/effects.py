@@ -1,0 +1,108 @@
+"""The pages on effects and on model files, from the catalogue."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pydantic import BaseModel
+
+from bench.files.model import ModelFile
+from bench.model.effects import CATALOGUE, Effect, Parameter, Stage
+from docs.generators.forms import sections
+from docs.generators.markdown import code, prose, table
+
+EFFECT_ENTRY_TITLE: Final = "Entry of effects"
+
+_INTRODUCTION: Final = """\
+# Effects
+
+What a block, a stand, a voltmeter or a site can do beside the paper's model. Each is written once: the
+simulated bench applies it (section `effects` of a [bench file](bench-files.md)), a calibration takes it
+into account (a [model file](model-files.md)), `bench diagnose` looks for it and names it. *Plausible* is
+the size, one standard deviation, that the diagnosis takes for usual before it has seen readings. A *shape*
+is no size but a form (a time constant, a period): readings are not linear in it, a diagnosis tries the
+values listed. [Writing an effect](../writing-an-effect.md) adds one.
+
+They act one after another, stage by stage:
+"""
+
+_MODEL_FILES: Final = """\
+# Model files
+
+A model file lists effects with their values; `bench diagnose` writes one, `--model FILE` of `calibrate`,
+`budget`, `run --dry-run`, `simulate` and the next diagnosis takes it. Bench files state effects in the same
+words. A parameter is written in any unit of its dimension, for all channels alike or for each; a shape has
+one value and no `u`:
+
+```yaml
+model_file: 1
+name: unit-17
+effects:
+  - name: quadratic_nonlinearity
+    channels: [x, z]
+    parameters: {K2: {x: 60 ug/g^2, z: {value: -20 ug/g^2, u: 4 ug/g^2}}}
+  - name: warm_up
+    installations: ["1"]
+    parameters: {A: 150 ug, tau: 20 min}
+```
+
+`installations` says which mountings have the effect (`2/3` is installation 2 in series 3). The names and
+parameters are those of the [effects](effects.md).
+"""
+
+
+def page() -> str:
+    """Return the page on effects."""
+    parts = [_INTRODUCTION, prose(Stage).split("\n\n", 1)[1]]
+    for stage in Stage:
+        held = [effect for effect in CATALOGUE.values() if effect.stage is stage]
+        parts.append(f"## Stage: {stage.value}")
+        parts += [_section(effect) for effect in held]
+    return "\n\n".join(parts)
+
+
+def _section(effect: Effect) -> str:
+    first = f"{effect.sentence[:1].upper()}{effect.sentence[1:]}."
+    facts = [("of", effect.subsystem.value), ("shown by", effect.shown_by), *_more(effect)]
+    listed = "\n".join(f"- {name}: {text}" for name, text in facts)
+    rows = [_row(parameter) for parameter in effect.parameters]
+    head = ("parameter", "unit", "plausible", "for", "tried by a diagnosis")
+    return f"### {effect.name}\n\n{first}\n\n{prose(type(effect))}\n\n{listed}\n\n{table(head, rows)}"
+
+
+def _more(effect: Effect) -> list[tuple[str, str]]:
+    facts = []
+    if effect.per_mount:
+        facts.append(
+            ("mountings", "may be of one alone" + (", and stays from it on" if effect.lasts else ""))
+        )
+    if effect.needs_history:
+        facts.append(("order", "a reading depends on those before it"))
+    if effect.needs_path:
+        facts.append(("way", "a reading depends on how the head came there"))
+    return facts
+
+
+def _row(parameter: Parameter) -> tuple[str, ...]:
+    def written(si: float) -> str:
+        return f"{si / parameter.si_per_unit:.4g}"
+
+    grid = ", ".join(map(written, parameter.grid))
+    return (
+        code(parameter.name),
+        parameter.unit if parameter.unit != "1" else "–",
+        f"a shape; {written(parameter.default)} where not stated"
+        if parameter.is_shape
+        else written(parameter.plausible),
+        "each channel" if parameter.per_channel else "all alike",
+        grid or "–",
+    )
+
+
+def model_files_page() -> str:
+    """Return the page on model files."""
+    return f"{_MODEL_FILES}\n{sections(ModelFile, _title)}"
+
+
+def _title(model: type[BaseModel]) -> str:
+    return "The file" if model is ModelFile else EFFECT_ENTRY_TITLE

@@ -1,0 +1,34 @@
+"""The page on estimators, from their registry."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Final
+
+from bench.analysis.calibration.estimators import ESTIMATORS
+from docs.generators.markdown import code, table
+
+_INTRODUCTION: Final = """\
+# Estimators
+
+`--estimator NAME` of `bench calibrate`, `bench budget` and `bench require`. Without it the first is used.
+[Writing an estimator](../writing-an-estimator.md) says how a further one comes in.
+"""
+
+
+def page() -> str:
+    """Return the page."""
+    rows = [
+        (
+            " or ".join(code(name) for name in (e.name, *e.also)),
+            getattr(e, "phrase", "") or getattr(e, "told", ""),
+            "each by its weight" if e.gain is None else "alike in each run of the same angles",
+            "yes" if e.weighs_all else "no",
+            code(e.counts_as or e.name),
+        )
+        for e in ESTIMATORS.values()
+    ]
+    head = ("name", "what it does", "weighs readings", "takes free positions", "in a budget counts as")
+    module = importlib.import_module("bench.analysis.calibration.gls")
+    doc = (module.__doc__ or "").strip()
+    return f"{_INTRODUCTION}\n{table(head, rows)}\n\n## Generalised least squares\n\n{doc}\n"

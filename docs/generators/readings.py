@@ -1,0 +1,91 @@
+"""The page on readings files: the columns that the reader knows."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from bench.readings import csv
+from bench.readings.table import UNITS
+from docs.generators.markdown import code, table
+
+COLUMNS: Final[dict[str, tuple[str, str]]] = {
+    "installation": (
+        "–",
+        "`1` or `2` (the paper's Fig. 2), a label that the bench file defines; `V` a verification point, not in "
+        "the fit unless asked; `F` a free position, of which |a| = 1 g alone is known; `S` input shorted; "
+        "`R` a reference voltage at the input",
+    ),
+    "pass": ("–", "1, 2, …: which time through the points"),
+    "point": ("–", "number of the test point; a setting that is visited in each pass has one number"),
+    "angle_deg": ("°", "angle of the head as read back from its scale; empty for `F`, `S`, `R`"),
+    "series": (
+        "–",
+        "any second visit to an installation: another temperature, a return; 1 where it is not there",
+    ),
+    "target_deg": ("°", "the angle that was asked for"),
+    "direction": ("–", "+1 approached with rising angle, −1 with falling; may be empty"),
+    "time_s": ("s", "since the start of the run; may be empty"),
+    "temperature_c": ("°C", "at the block; may be empty"),
+    "samples": ("–", "how many samples of the meter the reading is the mean of"),
+    "range_v": ("V", "range of the meter"),
+    "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
+    "reference_v": ("V", "voltage at a reference input, for `R`"),
+}
+"""What each column means; `page` refuses to be written where the reader knows others."""
+
+_INTRODUCTION: Final = """\
+# Readings files
+
+A readings file is CSV (RFC 4180, UTF-8, dot as decimal sign): one row for each settled reading of the three
+channels, in the order of measurement. A run exports it (`bench export RUN --csv FILE`), a laboratory that
+measured by hand writes it.
+
+```text
+installation,pass,point,angle_deg,ux_v,uy_v,uz_v
+1,1,1,0.000833333,0.096392,-0.163620,-2.556161
+1,1,2,45.000555556,-1.450566,-0.154580,-1.923209
+V,1,1,44.999722222,-0.990108,0.909860,-1.927747
+```
+
+Columns stand in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
+Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
+computed until it is mended or left out with `--skip-bad-rows`.
+"""
+
+
+def known_columns() -> tuple[str, ...]:
+    """Return the columns that the reader knows, the signals apart."""
+    return (*csv.REQUIRED, *csv.OPTIONAL, *csv.AS_TEXT)
+
+
+def page() -> str:
+    """Return the page. Raises `ValueError` where a column is not described or described and not known."""
+    known = known_columns()
+    if set(known) != COLUMNS.keys():
+        raise ValueError(
+            f"columns of readings files: {sorted(set(known) ^ COLUMNS.keys())} in one place only"
+        )
+    rows = [
+        (code(name), COLUMNS[name][0], "must stand" if name in csv.REQUIRED else "may", COLUMNS[name][1])
+        for name in known
+    ]
+    signals = [
+        (f"`ux_{suffix}`, `uy_{suffix}`, `uz_{suffix}`", unit, f"`ux_sd_{suffix}` …")
+        for suffix, unit in UNITS.items()
+    ]
+    return f"""{_INTRODUCTION}
+## Columns
+
+{table(("column", "unit", "", "meaning"), rows)}
+
+## Signals
+
+The suffix is the unit, all three alike; results are then per that unit. A standard deviation of the samples
+of a reading may stand beside each signal.
+
+{table(("signals", "unit", "standard deviations"), signals)}
+
+## A static record
+
+For `bench stability`: a CSV with `time_s` and the three signal columns only.
+"""

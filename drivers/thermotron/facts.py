@@ -1,0 +1,26 @@
+"""What is true of a chamber with a Thermotron 8800, 8200, 3800 or 2800.
+
+Source: Thermotron 8800 computer interface manual, as read in public drivers.
+"""
+
+from typing import Final
+
+MAKER: Final = "Thermotron"
+IDENTITY: Final = r"2800|3800|8200|8800"
+"""Searched for in the reply to IDEN?."""
+
+TCP_PORT: Final = 8888
+READ_TERMINATION: Final = "\n"
+WRITE_TERMINATION: Final = "\n"
+"""An 8200 wants and sends CR."""
+SERIAL: Final = {
+    "baud_rate": 9600, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
+}  # fmt: skip
+
+BUSY_S: Final = 1.0
+"""For so long after a command without reply it loses what comes."""
+RESOLUTION_C: Final = 0.1
+
+# bits of MODE?
+STOPPED: Final = 2
+MANUAL: Final = 16

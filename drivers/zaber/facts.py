@@ -1,0 +1,33 @@
+"""What is true of rotary stages with a Zaber controller in its ASCII protocol.
+
+Source: Zaber ASCII Protocol Manual, sections "Message Format", "Commands", "Device Settings", "Checksumming".
+"""
+
+from typing import Final
+
+MAKER: Final = "Zaber"
+IDENTITY: Final = r"\d+"
+"""The pattern of a device id."""
+
+TCP_PORT: Final = 55550
+READ_TERMINATION: Final = "\r\n"
+WRITE_TERMINATION: Final = "\n"
+SERIAL: Final = {
+    "baud_rate": 115200, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
+}  # fmt: skip
+"""How a port speaks as delivered; the protocol knows no device clear."""
+
+RESOLUTION: Final = 64
+"""Microsteps of a full step, as delivered."""
+MOST_STEPS: Final = 2**31 - 1
+SPEED_UNITS: Final = 1.6384
+"""The setting maxspeed is this many per microstep/s."""
+MOST_DEVICES: Final = 99
+MOST_AXES: Final = 9
+MOST_NUMBERS: Final = 99
+"""Message numbers go from 1 to this one."""
+
+
+def checksum(message: str) -> str:
+    """Return the LRC of a message without its type character: two's complement of the sum, two hex digits."""
+    return f"{-sum(message.encode('ascii', 'replace')) & 0xFF:02X}"

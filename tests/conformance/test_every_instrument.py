@@ -1,0 +1,164 @@
+"""What every instrument there is must do, plug-ins too: is declared, proves who it is, survives a bad wire.
+
+A user runs it for his own: `BENCH_DEVICES=DIR python -m pytest tests/conformance`.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import yaml
+
+from bench.assembly.served import served_bench
+from bench.base.forms import FileMistakes
+from bench.devices.chambers import ChamberTruth
+from bench.devices.heads import HeadTruth
+from bench.devices.registry import devices
+from bench.devices.voltmeters import VoltmeterTruth
+from bench.files.bench.file import load_bench
+from bench.model import ForwardModel
+from bench.run.folder import Run
+from drivers.interfaces import (
+    BadReading,
+    BenchError,
+    DividingHead,
+    Identity,
+    InstrumentLost,
+    InstrumentRefused,
+    SelfTesting,
+    ThermalChamber,
+    Voltmeter,
+)
+from tests.support.instrument_stand import Mute, answering, bench_data, known, standing, written_bench
+
+PROTOCOLS = {"voltmeter": Voltmeter, "head": DividingHead, "chamber": ThermalChamber}
+TRUTHS = {"voltmeter": VoltmeterTruth, "head": HeadTruth, "chamber": ChamberTruth}
+SHORT = "0.05 s"
+
+every = pytest.mark.parametrize("device", known(wired=False), ids=lambda device: device.name)
+wired = pytest.mark.parametrize("device", known(), ids=lambda device: device.name)
+
+
+def test_all_devices_were_loaded():
+    assert devices().troubles == []
+    assert devices().doubled == {}
+    assert {device.role for device in known(wired=False)} == set(PROTOCOLS)
+
+
+@every
+def test_its_declaration_holds(device, tmp_path):
+    assert get_args(device.section.model_fields["driver"].annotation) == (device.name,)
+    assert set(device.simulated) <= set(TRUTHS[device.role].model_fields)
+    assert (device.simulation is None) == device.section.by_hand
+    assert load_bench(written_bench(device, tmp_path))
+    path = written_bench(device, tmp_path, colour="blue")
+    with pytest.raises(FileMistakes, match=r"unknown key 'colour'; .*known: .*driver"):
+        load_bench(path)
+
+
+@every
+def test_a_bench_with_it_is_checked_and_runs_dry(bench, tmp_path, monkeypatch, device):
+    monkeypatch.setattr("bench.report.render_report", lambda _content: "")
+    path = written_bench(device, tmp_path)
+    status, out, err = bench("check", "quick", "--bench", path)
+    assert (status, err) == (0, ""), out
+    status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "run")
+    assert (status, err) == (0, ""), out
+    signal = Run(Path("runs/run")).readings().signal
+    assert signal.shape[0] >= 18
+    assert np.isfinite(signal).all()
+
+
+@wired
+def test_the_simulation_is_served_and_looked_at_live(bench, tmp_path, device):
+    data = bench_data(device)
+    file = load_bench(written_bench(device, tmp_path))
+    with served_bench(
+        file, ForwardModel(file.installation_models()), 1, speed=1e4, with_terminals=False
+    ) as serving:
+        places = {s["name"]: s["tcp"] for s in serving.instruments}
+        for section, name in (
+            *zip(
+                data["instruments"]["voltmeters"], [m.name for m in file.instruments.voltmeters], strict=True
+            ),
+            (data["instruments"]["head"], file.instruments.head.name),
+            (data["instruments"]["chamber"], file.instruments.chamber.name),
+        ):
+            if name in places:
+                host, _, port = places[name].rpartition(":")
+                section["resource"] = f"TCPIP0::{host}::{port}::SOCKET"
+        path = tmp_path / "live.yaml"
+        path.write_text(yaml.safe_dump(data), encoding="utf-8")
+        try:
+            load_bench(path)
+        except FileMistakes:
+            pytest.skip("it cannot be reached over a socket")
+        status, out, err = bench("instruments", "--bench", path, "--json", "-")
+    assert (status, err) == (0, ""), out
+    rows = [row for row in json.loads(out)["instruments"] if row["address"] != "by hand"]
+    assert {row["name"] for row in rows} == set(places)
+    assert all(row["identity"] and row["value"] is not None and not row["failures"] for row in rows)
+
+
+@wired
+def test_it_says_who_it_is_and_keeps_its_protocol(device, tmp_path):
+    with standing(device, tmp_path) as stand:
+        assert isinstance(stand.driver, PROTOCOLS[device.role])
+        identity = stand.driver.open()
+        assert isinstance(identity, Identity)
+        assert identity.maker
+        assert identity.model
+        if isinstance(stand.driver, SelfTesting):
+            assert stand.driver.self_test() == ""
+        stand.driver.close()
+        stand.driver.close()
+
+
+@wired
+@pytest.mark.parametrize("reply", [b"ACME,COFFEE-MAKER,0,1.0", b"COFFEE-MAKER", b"42"])
+def test_another_instrument_is_refused(device, tmp_path, reply):
+    with standing(device, tmp_path, answering(reply), timeout=SHORT) as stand:
+        with pytest.raises((InstrumentRefused, BadReading)) as refusal:
+            stand.driver.open()
+        assert refusal.value.instrument == stand.driver.name
+        assert any(part in refusal.value.cause for part in reply.decode().split(","))
+        assert refusal.value.remedy
+        stand.driver.close()
+
+
+@wired
+def test_one_that_is_silent_is_lost_and_never_hangs(device, tmp_path):
+    with standing(device, tmp_path, Mute, timeout=SHORT) as stand:
+        began_s = stand.world.clock.now_s()
+        with pytest.raises(BenchError) as loss:
+            stand.driver.open()
+        assert isinstance(loss.value, InstrumentLost | InstrumentRefused)
+        assert loss.value.instrument == stand.driver.name
+        assert stand.world.clock.now_s() - began_s < 120.0
+        stand.driver.close()
+
+
+@wired
+def test_one_that_falls_silent_later_is_lost_and_let_go(device, tmp_path):
+    silent = False
+
+    class FallsSilent(Mute):
+        def handle(self, message, interrupted):
+            return None if silent else self._dialect.handle(message, interrupted)
+
+    with standing(device, tmp_path, FallsSilent, timeout=SHORT) as stand:
+        stand.driver.open()
+        silent = True
+        driver = stand.driver
+        ask = {
+            "voltmeter": lambda: driver.configure(stand.settings()),
+            "head": lambda: driver.move(0.5, 1, "1/turn"),
+            "chamber": lambda: driver.temperature("1/read"),
+        }
+        with pytest.raises(BenchError):
+            ask[device.role]()
+        driver.close()

@@ -1,0 +1,43 @@
+"""The tables of the blind trial on the page are those of the stored result, and a trial can write them."""
+
+import json
+
+import pytest
+
+from benchmarks.blind_trial import page, run
+from benchmarks.blind_trial.run import FULL
+
+
+@pytest.fixture(scope="module")
+def result():
+    return json.loads(page.STORED.read_text(encoding="utf-8"))
+
+
+def test_the_page_shows_the_stored_result(result):
+    assert page.current_part() == page.part(result)
+
+
+def test_the_stored_result_is_of_the_whole_trial(result):
+    assert [row["row"] for row in result["rows"]] == [row.key for row in FULL]
+    assert result["cases"] == sum(row.count for row in FULL)
+    for row, stored in zip(FULL, result["rows"], strict=True):
+        assert stored["rho"] == row.rho
+        assert all(0 <= right <= of <= row.count for right, of in stored["score"].values())
+
+
+def test_a_result_is_written_into_a_copy_of_the_page(result, tmp_path):
+    copy, stored_at = tmp_path / "page.md", tmp_path / "stored.json"
+    copy.write_text(page.PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    result = json.loads(json.dumps(result))
+    result["rows"][0]["score"]["agrees"] = [700, 800]
+    page.write(result, copy, stored_at)
+    assert "| null paper 15 uV | 0.875 (700/800; " in copy.read_text(encoding="utf-8")
+    assert json.loads(stored_at.read_text(encoding="utf-8")) == result
+    assert page.current_part(copy) == page.part(result)
+
+
+def test_a_part_of_the_trial_cannot_be_written_into_the_page(capsys):
+    for part in (["--short"], ["--rows", "3"], ["--only", "null"]):
+        with pytest.raises(SystemExit):
+            run.main(["--page", *part])
+        assert "--page is for the whole trial" in capsys.readouterr().err

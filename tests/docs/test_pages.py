@@ -1,0 +1,224 @@
+"""Every example of the documentation is carried out, and prints what the page shows."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+
+from bench.analysis.calibration import ESTIMATORS, calibrate
+from bench.cli.app import app
+from bench.files.model import load_model
+from bench.model import Conditions
+from bench.model.conditions import Mounting
+from bench.model.effects import CATALOGUE
+from bench.readings.csv import write_csv
+from tests.support.honest_runs import MODEL
+from tests.support.pages import DOCS, ROOT, Block, blocks, commands, pages, told_apart
+from tests.support.paper_bench import STAND_U, simulate
+from tests.support.schemas import keeps_to
+
+KINDS = {"console", "python", "text", "yaml", "{toctree}", "{include}"}
+OF_THEIR_OWN = {
+    "writing-a-driver.md",
+    "writing-an-effect.md",
+    "writing-an-estimator.md",
+    "writing-a-command.md",
+}
+"""Pages whose blocks need names of the tests: they have a test of their own."""
+RESULTS = {
+    "tutorial.md": {
+        "coefficients.json": "calibrate",
+        "runs/first/calibrate.json": "calibrate",
+        "runs/first/verify.json": "verify",
+        "diagnosis.json": "diagnose",
+    },
+    "analyses.md": {"tests/data/stability/ln100-up.json": "stability"},
+}
+"""What pages leave behind, and the schema of each."""
+SLOW = {"tutorial.md", "analyses.md"}
+SHELL = {"ls", "cp", "rm", "sed"}
+
+
+def carried_out(page, bench):
+    """Carry out the blocks of a page one after another in the working folder."""
+    names = {"__name__": "page"}
+    printed = ""
+    for block in blocks(page):
+        where = f"{block.page}:{block.line}"
+        if block.why_not_run:
+            continue
+        if block.kind == "console":
+            take_data(block)
+            for command in commands(block):
+                status, printed = run(command.words, bench)
+                problem = told_apart(command.shown, printed)
+                if problem:
+                    pytest.fail(f"{where}: {' '.join(command.words)}: {problem}", pytrace=False)
+                if not command.shown:
+                    assert status == 0, f"{where}: {printed}"
+            expected = int(block.marked("status") or 0)
+            assert status == expected, f"{where}: {printed}"
+        elif block.kind == "yaml":
+            assert block.marked("file"), f"{where}: say which file this is"
+            Path(block.marked("file")).write_text(block.text, encoding="utf-8")
+        elif block.kind == "python":
+            out = io.StringIO()
+            with contextlib.redirect_stdout(out):
+                exec(compile(block.text, where, "exec"), names)  # noqa: S102 - our own page
+            printed = out.getvalue()
+        elif block.kind == "text" and printed and not printed.isspace():
+            assert not told_apart(block.text.splitlines(), printed), where
+    return names
+
+
+def take_data(block):
+    source = block.marked("data")
+    if source:
+        target = Path(source)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / source, target)
+
+
+def run(words, bench):
+    if words[0] == "bench":
+        status, out, err = bench(*words[1:])
+        return status, out + err
+    assert words[0] in SHELL, words
+    done = subprocess.run(words, capture_output=True, text=True, check=True)  # noqa: S603 - our own page
+    return done.returncode, done.stdout
+
+
+@pytest.fixture(scope="module")
+def caches(tmp_path_factory):
+    return tmp_path_factory.mktemp("caches")
+
+
+@pytest.fixture
+def wide(monkeypatch, caches):
+    """Lines as long as they are, and thresholds of diagnoses kept apart from the user's."""
+    monkeypatch.setenv("COLUMNS", "400")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(p, id=p.name, marks=[pytest.mark.slow] if p.name in SLOW else [])
+        for p in pages()
+        if p.name not in OF_THEIR_OWN
+    ],
+)
+def test_what_a_page_shows_is_what_happens(page, bench, wide):
+    carried_out(page, bench)
+    for written, schema in RESULTS.get(page.name, {}).items():
+        keeps_to(schema, json.loads(Path(written).read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda p: p.name)
+def test_no_block_escapes(page):
+    for block in blocks(page):
+        assert block.kind in KINDS, f"{block.page}:{block.line}: a block of no known kind"
+    assert page.read_text(encoding="utf-8").count("```") == 2 * len(blocks(page))
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda p: p.name)
+def test_commands_that_are_not_carried_out_exist_with_their_options(page):
+    known = known_options()
+    for block in blocks(page):
+        if block.kind != "console" or not block.why_not_run:
+            continue
+        _, _, why = block.why_not_run.partition(": ")
+        assert len(why) > 10, f"{block.page}:{block.line}: say why this is not carried out"
+        for command in commands(block):
+            if command.words[0] == "bench":
+                assert_exists(command.words[1:], known, f"{block.page}:{block.line}")
+
+
+def test_commands_in_the_text_exist_with_their_options():
+    known = known_options()
+    told = 0
+    for page in pages():
+        text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+        for code in re.findall(r"`bench ([a-z][^`]*)`", text.replace("\n", " ")):
+            told += 1
+            assert_exists(code.split(), known, page.name)
+    assert told > 40
+
+
+def known_options():
+    found = {}
+    for name, command in typer.main.get_command(app).commands.items():
+        found[name] = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {
+            "--help",
+            "--debug",
+        }
+    return found
+
+
+def assert_exists(words, known, where):
+    name = words[0]
+    assert name in known, f"{where}: there is no command {name}"
+    for word in words[1:]:
+        option = word.partition("=")[0]
+        if option.startswith("--"):
+            assert option in known[name], f"{where}: {name} has no option {option}"
+
+
+def test_the_page_of_a_command_is_one_module_and_one_line(bench, wide, monkeypatch):
+    monkeypatch.setattr(app, "registered_commands", list(app.registered_commands))
+    carried_out(DOCS / "writing-a-command.md", bench)
+    assert "gravity" not in {c.name or c.callback.__name__ for c in app.registered_commands[:-1]}
+
+
+def test_the_page_of_an_effect(bench, wide, monkeypatch, tmp_path):
+    names = carried_out(DOCS / "writing-an-effect.md", bench)
+    names["conditions_at"] = one_reading_at
+    names["test_half_a_turn_pulls_by_half"]()
+    effect = names["CablePull"]()
+    monkeypatch.setitem(CATALOGUE, effect.name, effect)
+    (applied,) = load_model(tmp_path / "cable.yaml").applied_effects()
+    assert float(applied.values["per_turn"]) == pytest.approx(np.radians(30 / 3600))
+
+
+def one_reading_at(angle_rad):
+    unknown, one = np.full(1, np.nan), np.ones(1, dtype=int)
+    mounts, order = (Mounting(1, "1"),), np.arange(3)[np.newaxis]
+    angle = np.array([angle_rad])
+    return Conditions(mounts, 0 * one, one, one, angle, one, unknown, unknown, order)
+
+
+def test_the_page_of_an_estimator(bench, wide, monkeypatch):
+    readings = simulate(np.random.default_rng(5), 1e-4)
+    write_csv(readings, Path("readings.csv"))
+    page = DOCS / "writing-an-estimator.md"
+    code, command, proof = (block for block in blocks(page) if block.kind in {"python", "console"})
+    names = {}
+    exec(compile(code.text, str(page), "exec"), names)  # noqa: S102 - our own page
+    estimator = names["FIRST_PASS"]
+    monkeypatch.setitem(ESTIMATORS, estimator.name, estimator)
+    (shown,) = commands(command)
+    status, printed = run(shown.words, bench)
+    assert status == 0
+    assert not told_apart(shown.shown, printed)
+    exec(compile(proof.text, str(page), "exec"), names)  # noqa: S102 - our own page
+    names["test_repeats_are_worth_something"](
+        lambda name: calibrate(readings, MODEL, STAND_U, 9.81, estimator=name)
+    )
+
+
+def test_a_page_that_shows_something_else_is_noticed():
+    block = Block("page", "console", "$ bench runs\none\n…\nthree … four\n", "", 1)
+    (command,) = commands(block)
+    assert not told_apart(command.shown, "one\n2\n2\nthree and four  \n")
+    assert told_apart(command.shown, "one\n2\nthree and five\n")
+    assert told_apart(command.shown, "one\nthree and four\nmore\n")
+    assert told_apart(["one"], "")

@@ -1,0 +1,128 @@
+"""The reference pages are made from the code: each thing of the program stands on its page, in links that hold."""
+
+import re
+
+import pytest
+import yaml
+
+from bench.analysis.calibration import ESTIMATORS
+from bench.files.bench.file import BenchFile
+from bench.files.model import load_model
+from bench.files.shipped import CONFIG, PROCEDURES, shipped_folder
+from bench.model.effects import CATALOGUE
+from bench.procedure.file import VERBS, ProcedureFile
+from bench.readings import csv
+from docs.generators import PAGES, write_pages
+from docs.generators.commands import commands
+from docs.generators.forms import anchor, reachable
+from docs.generators.instruments import drivers
+from tests.support.pages import DOCS, ROOT
+
+LINK = re.compile(r"\]\(([^)\s]*)\)")
+
+
+@pytest.fixture(scope="module")
+def made():
+    return {name: page() for name, page in PAGES.items()}
+
+
+def headings(text):
+    return {anchor(line.lstrip("# ")) for line in text.splitlines() if line.startswith("#")}
+
+
+def test_every_key_of_files_that_people_write_stands_on_a_page(made):
+    for root, name in ((BenchFile, "bench-files.md"), (ProcedureFile, "procedure-files.md")):
+        for model in reachable(root):
+            for key, field in model.model_fields.items():
+                assert f"| `{field.alias or key}` |" in made[name], f"{model.__name__}.{key}"
+
+
+@pytest.mark.parametrize(("kind", "name"), [(CONFIG, "bench-files.md"), (PROCEDURES, "procedure-files.md")])
+def test_what_the_shipped_files_say_stands_on_a_page(made, kind, name):
+    def keys(value):
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                yield str(key)
+                yield from keys(inner)
+        elif isinstance(value, list):
+            for inner in value:
+                yield from keys(inner)
+
+    free = {
+        "1",
+        "2",
+        "V",
+        "x",
+        "y",
+        "z",
+        "K2",
+        "K3",
+    }  # names of installations and channels, of effects' parameters
+    known = set(re.findall(r"\| `(\w+)` \|", made[name]))
+    for path in shipped_folder(kind).glob("*.yaml"):
+        said = {key for key in keys(yaml.safe_load(path.read_text(encoding="utf-8"))) if not key[0].isdigit()}
+        assert said - free <= known, path.name
+
+
+def test_effects_estimators_verbs_columns_drivers_and_commands_stand_on_their_pages(made):
+    for page, names in (
+        ("effects.md", [f"### {name}\n" for name in CATALOGUE]),
+        ("estimators.md", [f"`{name}`" for name in ESTIMATORS]),
+        ("procedure-files.md", [f"| `{verb}` |" for verb in VERBS]),
+        ("readings.md", [f"| `{name}` |" for name in (*csv.REQUIRED, *csv.OPTIONAL, *csv.AS_TEXT)]),
+        ("instruments.md", [f"[`{name}`]" for name in drivers()]),
+        ("commands.md", [f"## {name}\n" for name in commands()]),
+    ):
+        assert names
+        for name in names:
+            assert name in made[page], f"{page}: {name.strip()}"
+    assert len(drivers()) >= 10
+    assert len(commands()) >= 20
+
+
+def test_every_option_stands_on_the_page_with_its_help(made):
+    for name, command in commands().items():
+        section = made["commands.md"].split(f"## {name}\n")[1].split("\n## ")[0]
+        for option in command.params:
+            for word in option.opts:
+                assert word in section or word.upper() in section or (option.metavar or "") in section
+        assert "Example: `bench " in section, f"{name} has no example"
+
+
+def test_the_examples_of_model_files_can_be_loaded(made, tmp_path):
+    (example,) = re.findall(r"```yaml\n(.*?)```", made["model-files.md"], re.DOTALL)
+    (tmp_path / "m.yaml").write_text(example)
+    assert [applied.effect.name for applied in load_model(tmp_path / "m.yaml").applied_effects()] == [
+        "quadratic_nonlinearity",
+        "warm_up",
+    ]
+
+
+def test_links_lead_to_pages_and_headings_that_are_there(made):
+    texts = {f"reference/{name}": text for name, text in made.items()}
+    texts |= {path.name: path.read_text(encoding="utf-8") for path in DOCS.glob("*.md")}
+    texts["../README.md"] = (ROOT / "README.md").read_text(encoding="utf-8")
+    followed = 0
+    for page, text in texts.items():
+        for link in LINK.findall(re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.DOTALL)):
+            if link.startswith(("http:", "https:")):
+                continue
+            file, _, heading = link.partition("#")
+            place = (DOCS / page).parent.joinpath(file).resolve() if file else DOCS / page
+            target = str(place.relative_to(ROOT)).removeprefix("docs/") if file else page
+            if target.endswith(".md"):
+                assert target in texts, f"{page}: {link}"
+                assert not heading or heading in headings(texts[target]), f"{page}: {link}"
+            else:
+                assert place.exists(), f"{page}: {link}"
+            followed += 1
+    assert followed > 100
+
+
+def test_pages_are_written_and_stale_ones_go(tmp_path):
+    (tmp_path / "old.md").write_text("of a version before")
+    write_pages(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == PAGES.keys()
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    write_pages(tmp_path)
+    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}

@@ -1,0 +1,102 @@
+"""Pages of the documentation as what they show: blocks of code, commands with their output.
+
+A comment on the line before a block marks it: `<!-- file: NAME -->` is a file that later commands read,
+`data: PATH` one of the repository that they read, `status: N` how the last command ends. Not carried out are
+blocks with `shell: WHY`, and with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose commands and options must
+exist.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+ELLIPSIS = "…"
+
+_BLOCK = re.compile(
+    r"(?:^<!-- (?P<mark>[^>]*) -->\n)?^```(?P<kind>\S*)[^\n]*\n(?P<text>.*?)^```$", re.M | re.S
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One block: its kind ("console", "python"), its text, what it is marked with, its line on the page."""
+
+    page: str
+    kind: str
+    text: str
+    mark: str
+    line: int
+
+    @property
+    def why_not_run(self) -> str:
+        """Why it is not carried out, empty where it is."""
+        return self.mark if self.mark.partition(":")[0] in {"shell", "hardware", "checked", "not run"} else ""
+
+    def marked(self, word: str) -> str:
+        """Return what a mark says, empty without it."""
+        name, _, rest = self.mark.partition(": ")
+        return rest if name == word else ""
+
+
+@dataclass
+class Command:
+    """A command of a console block, and the lines that are shown below it."""
+
+    words: list[str]
+    shown: list[str] = field(default_factory=list)
+
+
+def pages() -> list[Path]:
+    """Return the pages that people write: those of the folder, and the README."""
+    return [*sorted(DOCS.glob("*.md")), ROOT / "README.md"]
+
+
+def blocks(page: Path) -> list[Block]:
+    """Return the blocks of a page in their order."""
+    text = page.read_text(encoding="utf-8")
+    return [
+        Block(page.name, m["kind"], m["text"], m["mark"] or "", text.count("\n", 0, m.start()) + 1)
+        for m in _BLOCK.finditer(text)
+    ]
+
+
+def commands(block: Block) -> Iterator[Command]:
+    """Yield the commands of a console block."""
+    command = None
+    for line in block.text.splitlines():
+        if line.startswith("$ "):
+            if command is not None:
+                yield command
+            command = Command(shlex.split(line[2:], comments=True))
+        elif command is not None:
+            command.shown.append(line)
+    if command is not None:
+        yield command
+
+
+def told_apart(shown: list[str], printed: str) -> str:
+    """Return where an output leaves what the page shows, empty where it does not.
+
+    A line "…" stands for any lines, an ellipsis in a line for anything in it.
+    """
+    if not shown:
+        return ""
+    pattern = ""
+    best = ""
+    for line in shown:
+        if line.strip() == ELLIPSIS:
+            pattern += r"(?:[^\n]*\n)*?"
+            continue
+        pieces = (re.escape(piece) for piece in line.rstrip().split(ELLIPSIS))
+        pattern += r"[^\n]*?".join(pieces) + r"[ ]*\n"
+        if not best and re.match(pattern, printed) is None:
+            best = line
+    if re.fullmatch(pattern, printed):
+        return ""
+    return f"{best or shown[-1]!r} does not stand in:\n{printed}"
