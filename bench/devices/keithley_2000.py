@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from bench.devices.device import Device
 from bench.devices.voltmeters import OneChannelForm, VoltmeterTruth
-from bench.devices.wires import Port, PortSection, usual_baud_rate
+from bench.devices.wires import Port, PortSection, is_serial, usual_baud_rate
 from drivers.keithley_2000 import facts as keithley
 
 
 class Keithley2000Port(PortSection):
     """How the RS-232 of a Keithley 2000 is set on its front panel; `terminator` is its TX TERM."""
 
-    baud_rate: int = keithley.SERIAL["baud_rate"]
+    baud_rate: int = PortSection.of(keithley).baud_rate
     terminator: Literal["lf", "cr", "crlf", "lfcr"] = "lf"
 
     @field_validator("baud_rate")
@@ -32,6 +32,12 @@ class Keithley2000Section(OneChannelForm):
     driver: Literal["keithley-2000"]
     interface: Literal["gpib", "rs232"] = "gpib"
     serial: Keithley2000Port = Keithley2000Port()
+
+    @model_validator(mode="after")
+    def _set_to_its_port(self) -> Keithley2000Section:
+        if is_serial(self.resource) and self.interface != "rs232":
+            raise ValueError("a serial port is an RS-232: say 'interface: rs232', and set the meter to it")
+        return self
 
     @property
     def line_end(self) -> str:
