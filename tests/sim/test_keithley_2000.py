@@ -93,39 +93,11 @@ def test_over_rs232_lines_end_as_it_is_set(world: World, line_end: str) -> None:
 
 def test_nothing_that_is_sent_breaks_it(meter: Keithley2000, world: World) -> None:
     words = [
-        ":INIT",
-        ":ABOR",
-        "READ?",
-        "FETC?",
-        "*TRG",
-        "*WAI",
-        "*RST",
-        ":TRIG:SOUR",
-        "BUS",
-        "IMM",
-        ":SAMP:COUN",
-        "2",
-        "1024",
-        "-1",
-        "1e999",
-        "MIN",
-        "MAX",
-        ";",
-        ",",
-        ":TRAC:DATA?",
-        ":TRAC:POIN",
-        ":TRAC:FEED:CONT",
-        "NEXT",
-        "NEV",
-        ":VOLT:DC:RANG",
-        ":VOLT:NPLC",
-        "ON",
-        "OFF",
-        "?",
-        "\x00",
-        "é",
+        ":INIT", ":ABOR", "READ?", "FETC?", "*TRG", "*WAI", "*RST", ":TRIG:SOUR", "BUS", "IMM",
+        ":SAMP:COUN", "2", "1024", "-1", "1e999", "MIN", "MAX", ";", ",", ":TRAC:DATA?", ":TRAC:POIN",
+        ":TRAC:FEED:CONT", "NEXT", "NEV", ":VOLT:DC:RANG", ":VOLT:NPLC", "ON", "OFF", "?", "\x00", "é",
         "'VOLT",
-    ]
+    ]  # fmt: skip
     generator = random.Random(20261122)  # noqa: S311
     for _ in range(2000):
         parts = [generator.choice(words) for _ in range(generator.randint(0, 5))]
