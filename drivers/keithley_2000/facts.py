@@ -1,8 +1,10 @@
 """What is true of a Keithley 2000.
 
+Of the sources the pages on the serial port and on linearity, noise and overrange were at hand; commands and forms
+of replies are as public drivers of the meter have them. Where a number comes from elsewhere, it says so.
+
 Sources: Model 2000 User's Manual (2000-900-01), section 4 "RS-232 operation", section 5 "SCPI command reference",
-appendix A "Specifications"; Model 2000 data sheet. What the two say differently, or what was taken from no page
-that was at hand, says so.
+appendix A "Specifications"; Model 2000 data sheet.
 """
 
 from typing import Final
