@@ -1,0 +1,319 @@
+"""A simulated Keithley 2000 on one channel of the world: DC volts, the buffer, triggering.
+
+Its other functions are not here and answer -113; filter and relative can be set and have no effect. It takes
+commands while it measures: only *WAI, *OPC?, READ? and FETCh? wait. Sources: see its facts; how numbers that
+are not readings are printed is not from the manual, nor that FETCh? returns all samples of the last trigger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Literal
+
+from drivers.keithley_2000 import facts
+from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal, reading_text
+from sim.agilent_34401a.cycle import MeasuringCycle
+from sim.agilent_34401a.functions import Function, FunctionSettings
+from sim.scpi.instrument import Command, ScpiInstrument
+from sim.scpi.status import ScpiError
+from sim.scpi.values import MAX, MIN, Boolean, Choice, Number, Text, Value, next_above, quoted, within
+from sim.wires.session import LineEnds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from drivers.clock import Clock
+
+_ERRORS: Final = {-230: "Data corrupt or stale", -350: "Queue overflow"}
+_DC_VOLTS: Final = Function("VOLT", "VOLTage[:DC]", "V", facts.RANGES_V, {})
+_NPLC: Final = (facts.NPLC[0], facts.NPLC[-1])
+_COUNTS: Final = (1, facts.MEMORY_READINGS)
+_SIZES: Final = (facts.LEAST_SAMPLES, facts.MEMORY_READINGS)
+_WAITING: Final = ("*WAI", "*OPC?", "FETCh?")
+
+
+@dataclass
+class Measuring:
+    """How a sample is taken, a `Measurement`; as *RST sets it."""
+
+    nplc: float = 1.0
+    autozero: bool = True
+    averages: bool = False
+    relative: bool = False
+    function: Function = _DC_VOLTS
+    bandwidth_hz: float = 20.0
+    settings: FunctionSettings = field(default_factory=lambda: FunctionSettings(1000.0, 1e-6, 0.0))
+
+    def set_nplc(self, nplc: float) -> None:
+        """Set the integration, and with it the resolution."""
+        self.nplc = nplc
+        self.settings.resolution = next(
+            step for least, step in facts.DECIMALS_BY_NPLC.items() if nplc >= least
+        )
+
+
+class Buffer(MeasuringCycle):
+    """The trigger system and the buffer, which a start fills where it was told to store (FEED:CONTrol NEXT)."""
+
+    memory_depth = facts.MEMORY_READINGS
+
+    def __init__(self, clock: Clock, interrupted: Callable[[], bool], converter: Converter) -> None:
+        self._converter = converter
+        self.measuring = Measuring()
+        self.size = 100
+        self.stores = False
+        self.stored: list[str] = []
+        self._times_s: list[float] = []
+        super().__init__(clock, interrupted)
+
+    def preset(self) -> None:
+        """Set what *RST sets; the buffer stays."""
+        self.measuring = Measuring()
+        self.source = "IMM"
+        self.automatic_delay = True
+        self.continuous = False
+        self.trigger_count = 1
+        self.sample_count = 1
+
+    def abort(self) -> None:
+        """Go to idle; the buffer stays."""
+        super().abort()
+        self._times_s = []
+
+    def initiate(self) -> None:
+        """INITiate. Raises `ScpiError` -213 while measuring, or while it goes on measuring by itself."""
+        if self.continuous:
+            raise ScpiError(-213)
+        self._require_idle()
+        self._converter.begin()
+        self._start(self.trigger_count, keeps=True)
+
+    def read(self) -> str | None:
+        """READ?: abort, initiate, fetch. Raises `ScpiError` -214 when only a command could give the trigger."""
+        if self.source == "BUS":
+            raise ScpiError(-214)
+        self.abort()
+        self.initiate()
+        return self._outcome()
+
+    def settle(self) -> None:
+        """Take in what has been measured by now, without waiting."""
+        if self._times_s and not self.in_progress:
+            self._collect()
+
+    def clear(self) -> None:
+        """TRACe:CLEar."""
+        self.stored = []
+
+    def data(self) -> str:
+        """TRACe:DATA?. Raises `ScpiError` -230 for an empty buffer."""
+        if not self.stored:
+            raise ScpiError(-230)
+        return ",".join(self.stored)
+
+    def resize(self, size: int) -> None:
+        """TRACe:POINts: the buffer is emptied. Raises `ScpiError` -221 while it is being filled."""
+        if self.stores:
+            raise ScpiError(-221)
+        self.size, self.stored = size, []
+
+    def _schedule(self, triggers: int) -> None:
+        start_s = self._clock.now_s() + self._converter.settling_s(self.measuring)
+        step_s = self._converter.sample_s(self.measuring)
+        middle_s = self._converter.integration_s(self.measuring) / 2.0
+        samples = triggers * self.sample_count
+        self._times_s = [start_s + i * step_s + middle_s for i in range(samples)]
+        self._measures_until(start_s + samples * step_s, triggers)
+
+    def _taken(self) -> Iterator[str]:
+        for time_s in self._times_s:
+            value = self._converter.sample(self.measuring, time_s)
+            text = _text(value, self._converter.step(self.measuring))
+            if self.stores:
+                self.stored.append(text)
+                self.stores = len(self.stored) < self.size
+            yield text
+        self._times_s = []
+
+
+class Keithley2000(ScpiInstrument):
+    """The meter; `source` is what it is wired to, `clock` its time.
+
+    `noise` and `accuracy` are as of the 34401A's `Converter`. Over RS-232 `line_end` ends its replies, and any of
+    CR, LF or both a message. `interface` is what it is set to; it takes all commands over either.
+    """
+
+    def __init__(
+        self,
+        source: MeteredSignal,
+        clock: Clock,
+        *,
+        interface: Literal["gpib", "rs232"] = "gpib",
+        line_end: str = "\n",
+        noise: bool = True,
+        accuracy: Accuracy | None = None,
+        line_hz: float = 50.0,
+    ) -> None:
+        super().__init__(facts.IDENTITY, _ERRORS)
+        self.interface = interface
+        messages = tuple(end.encode("ascii") for end in facts.TERMINATORS.values())
+        self.line_ends = LineEnds(messages if interface == "rs232" else (b"\n",), line_end.encode("ascii"))
+        self._converter = Converter(source, facts, noise=noise, accuracy=accuracy, line_hz=line_hz)
+        self.buffer = Buffer(clock, self.device_clear_pending, self._converter)
+        self.add(self._sense_commands())
+        self.add(self._trigger_commands())
+        self.add(self._buffer_commands())
+        self.add(self._system_commands())
+        self._switch_on()
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether the voltage at the input is beyond every range, whatever the source says."""
+        return self._converter.overloaded
+
+    @overloaded.setter
+    def overloaded(self, overloaded: bool) -> None:
+        self._converter.overloaded = overloaded
+
+    def admit(self, command: Command) -> None:
+        """Wait for what is under way where the command does; take in what is done."""
+        self.buffer.settle()
+        if command.notation in _WAITING:
+            self.buffer.complete()
+
+    def device_clear(self) -> None:
+        """Stop measuring; settings, buffer and errors stay."""
+        self.buffer.abort()
+
+    def reset(self) -> None:
+        """*RST: idle, autorange, 1 PLC, one immediate trigger; buffer, errors and masks stay."""
+        self.buffer.abort()
+        self.buffer.preset()
+
+    def power_cycle(self) -> None:
+        """Switch off and on: settings, buffer and errors are gone; it measures by itself, with its filter."""
+        super().power_cycle()
+        self.buffer.clear()
+        self._switch_on()
+
+    def number(self, value: float) -> str:
+        """Return a whole number as the meter prints it: `0`."""
+        return f"{round(value):d}"
+
+    def _switch_on(self) -> None:
+        self.buffer.size, self.buffer.stores = 100, False
+        self.buffer.continuous = True
+        self.buffer.measuring.averages = True
+
+    # --- commands -----------------------------------------------------------------------------------
+
+    def _sense_commands(self) -> list[Command]:
+        volts = "[SENSe[1]:]VOLTage[:DC]"
+        return [
+            Command("[SENSe[1]:]FUNCtion", self._select, (Text(),)),
+            Command("[SENSe[1]:]FUNCtion?", lambda: quoted("VOLT:DC")),
+            Command(f"{volts}:RANGe[:UPPer]", self._set_range, (Number("V"),)),
+            Command(f"{volts}:RANGe[:UPPer]?", lambda: f"{self._settings.range_value:.6E}"),
+            *self._switch(f"{volts}:RANGe:AUTO", lambda: self._settings, "autorange"),
+            Command(f"{volts}:NPLCycles", self._set_nplc, (Number(),)),
+            Command(f"{volts}:NPLCycles?", lambda: f"{self.buffer.measuring.nplc:.2f}"),
+            *self._switch(f"{volts}:AVERage:STATe", lambda: self.buffer.measuring, "averages"),
+            *self._switch(f"{volts}:REFerence:STATe", lambda: self.buffer.measuring, "relative"),
+        ]
+
+    def _trigger_commands(self) -> list[Command]:
+        buffer = self.buffer
+        return [
+            Command("INITiate[:IMMediate]", buffer.initiate),
+            *self._switch("INITiate:CONTinuous", lambda: buffer, "continuous"),
+            Command("ABORt", buffer.abort),
+            Command("READ?", buffer.read),
+            Command("FETCh?", buffer.fetch),
+            Command("*TRG", lambda: buffer.trigger("BUS")),
+            Command("*WAI", lambda: None),
+            Command("TRIGger:SOURce", self._set_source, (Choice(("IMMediate", "BUS")),)),
+            Command("TRIGger:SOURce?", lambda: buffer.source),
+            *self._switch("TRIGger:DELay:AUTO", lambda: buffer, "automatic_delay"),
+            *self._count("TRIGger:COUNt", "trigger_count"),
+            *self._count("SAMPle:COUNt", "sample_count"),
+        ]
+
+    def _buffer_commands(self) -> list[Command]:
+        buffer = self.buffer
+        return [
+            Command("TRACe:CLEar", buffer.clear),
+            Command("TRACe:POINts", lambda v: buffer.resize(_whole(v, _SIZES)), (Number(),)),
+            Command("TRACe:POINts?", lambda: self.number(buffer.size)),
+            Command("TRACe:FEED", lambda _: None, (Choice(("SENSe", "SENSe1")),)),
+            Command("TRACe:FEED?", lambda: "SENS1"),
+            Command("TRACe:FEED:CONTrol", self._set_control, (Choice(("NEVer", "NEXT")),)),
+            Command("TRACe:FEED:CONTrol?", lambda: "NEXT" if buffer.stores else "NEV"),
+            Command("TRACe:DATA?", buffer.data),
+        ]
+
+    def _system_commands(self) -> list[Command]:
+        return [
+            *self._switch("SYSTem:AZERo:STATe", lambda: self.buffer.measuring, "autozero"),
+            Command("SYSTem:PRESet", self._preset),
+            Command("SYSTem:REMote", lambda: None),
+            Command("SYSTem:LOCal", lambda: None),
+            Command("FORMat[:DATA]", lambda _: None, (Choice(("ASCii",)),)),
+            Command("FORMat[:DATA]?", lambda: "ASC"),
+            Command("FORMat:ELEMents", lambda _: None, (Choice(("READing",)),)),
+            Command("FORMat:ELEMents?", lambda: "READ"),
+        ]
+
+    def _switch(self, notation: str, holder: Callable[[], object], name: str) -> list[Command]:
+        """Return the command and the query of something that is on or off."""
+        return [
+            Command(notation, lambda flag: setattr(holder(), name, flag == "1"), (Boolean(),)),
+            Command(f"{notation}?", lambda: str(int(getattr(holder(), name)))),
+        ]
+
+    def _count(self, notation: str, name: str) -> list[Command]:
+        return [
+            Command(notation, lambda v: setattr(self.buffer, name, _whole(v, _COUNTS)), (Number(),)),
+            Command(f"{notation}?", lambda: self.number(getattr(self.buffer, name))),
+        ]
+
+    @property
+    def _settings(self) -> FunctionSettings:
+        return self.buffer.measuring.settings
+
+    def _select(self, function: str) -> None:
+        if function.upper() not in ("VOLT", "VOLTAGE", "VOLT:DC", "VOLTAGE:DC"):
+            raise ScpiError(-224)
+
+    def _set_range(self, value: Value) -> None:
+        ends = {MIN: 0.0, MAX: facts.HIGHEST_V}
+        highest_v = within(abs(ends[value] if isinstance(value, str) else value), 0.0, facts.HIGHEST_V)
+        self._settings.range_value = next_above(min(highest_v, facts.RANGES_V[-1]), facts.RANGES_V)
+        self._settings.autorange = False
+
+    def _set_nplc(self, value: Value) -> None:
+        ends = dict(zip((MIN, MAX), _NPLC, strict=True))
+        self.buffer.measuring.set_nplc(ends[value] if isinstance(value, str) else within(value, *_NPLC))
+
+    def _set_source(self, source: str) -> None:
+        self.buffer.source = source
+
+    def _set_control(self, control: str) -> None:
+        self.buffer.stores = control == "NEXT"
+
+    def _preset(self) -> None:
+        self.reset()
+        self._switch_on()
+
+
+def _whole(value: Value, ends: tuple[int, int]) -> int:
+    """Return a count. Raises `ScpiError` -222 outside its ends."""
+    if isinstance(value, str):
+        return ends[0] if value == MIN else ends[1]
+    return round(within(value, *ends))
+
+
+def _text(value: float, step: float) -> str:
+    """Format a reading; an overflow is short."""
+    if abs(value) >= facts.OVERLOAD_V:
+        return "+9.9E37" if value > 0.0 else "-9.9E37"
+    return reading_text(value, step)

@@ -1,0 +1,108 @@
+"""The simulated Keithley 2000: what it is switched on with, its buffer, its waiting."""
+
+import random
+
+import numpy as np
+import pytest
+
+from bench.model import Block, ForwardModel
+from bench.model.geometry import INSTALLATION_1
+from sim.keithley_2000 import Keithley2000
+from sim.world.clock import VirtualClock
+from sim.world.world import World, WorldSettings
+
+
+@pytest.fixture
+def world() -> World:
+    block = Block(np.diag([-2.1, -2.2, -2.3]), np.array([0.1, 0.2, 0.3]))
+    return World(WorldSettings(block, ForwardModel({"1": INSTALLATION_1}), {}, seed=5), VirtualClock())
+
+
+@pytest.fixture
+def meter(world: World) -> Keithley2000:
+    return Keithley2000(world.terminals("x"), world.clock, noise=False)
+
+
+def say(meter: Keithley2000, message: str) -> str | None:
+    reply = meter.handle(message.encode())
+    return None if reply is None else reply.decode()
+
+
+def test_switched_on_it_measures_by_itself_with_its_filter(meter: Keithley2000) -> None:
+    assert say(meter, ":INIT:CONT?;:VOLT:DC:AVER:STAT?") == "1;1"
+    say(meter, ":INIT")
+    assert say(meter, ":SYST:ERR?;ERR?") == '-213,"Init ignored";0,"No error"'
+    say(meter, "*RST")
+    assert say(meter, ":INIT:CONT?;:VOLT:DC:AVER:STAT?;:VOLT:DC:NPLC?") == "0;0;1.00"
+
+
+def test_the_buffer_is_filled_once_and_whoever_does_not_wait_gets_nothing(
+    meter: Keithley2000, world: World
+) -> None:
+    say(meter, "*RST;:VOLT:RANG 10;NPLC 10;:SAMP:COUN 3;:TRAC:POIN 3;FEED:CONT NEXT;:INIT")
+    began_s = world.clock.now_s()
+    assert say(meter, ":TRAC:DATA?") is None
+    assert say(meter, ":SYST:ERR?") == '-230,"Data corrupt or stale"'
+    reply = say(meter, "*WAI;:TRAC:DATA?") or ""
+    assert [float(text) for text in reply.split(",")] == pytest.approx([world.signal_v("x")] * 3, abs=1e-8)
+    assert world.clock.now_s() - began_s == pytest.approx(3 * 2 * 10 / 50.0, abs=0.01)
+    world.turn(1.0, 1)
+    say(meter, ":INIT")
+    assert say(meter, "*WAI;:TRAC:DATA?;:TRAC:FEED:CONT?") == f"{reply};NEV"
+
+
+@pytest.mark.parametrize(
+    ("message", "error"),
+    [
+        (":TRAC:POIN 1", -222),
+        (":TRAC:POIN 1025", -222),
+        (":SAMP:COUN 0", -222),
+        (":VOLT:DC:NPLC 100", -222),
+        (":VOLT:DC:RANG 2000", -222),
+        (":TRAC:FEED:CONT NEXT;:TRAC:POIN 5", -221),
+        (":FUNC 'RES'", -224),
+        (":CONF:VOLT:DC 10", -113),
+    ],
+)
+def test_what_it_refuses(meter: Keithley2000, message: str, error: int) -> None:
+    say(meter, message)
+    assert (say(meter, "SYST:ERR?") or "").startswith(f"{error},")
+
+
+@pytest.mark.parametrize(("stated", "taken"), [("0.05", 0.1), ("2.5", 10.0), ("10", 10.0), ("1010", 1000.0)])
+def test_the_range_is_that_which_holds_the_signal(meter: Keithley2000, stated: str, taken: float) -> None:
+    assert float(say(meter, f":VOLT:DC:RANG {stated};RANG?") or "") == taken
+    assert say(meter, ":VOLT:DC:RANG:AUTO?") == "0"
+
+
+def test_an_overflow_is_printed_short(meter: Keithley2000, world: World) -> None:
+    say(meter, "*RST;:VOLT:RANG 0.1;:SAMP:COUN 2;:TRAC:POIN 2;FEED:CONT NEXT;:INIT")
+    assert abs(world.signal_v("x")) < 0.12
+    assert "9.9E37" not in (say(meter, "*WAI;:TRAC:DATA?") or "9.9E37")
+    meter.overloaded = True
+    say(meter, ":TRAC:CLE;FEED:CONT NEXT;:INIT")
+    assert say(meter, "*WAI;:TRAC:DATA?") == "+9.9E37,+9.9E37"
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r", "\r\n", "\n\r"])
+def test_over_rs232_lines_end_as_it_is_set(world: World, line_end: str) -> None:
+    meter = Keithley2000(world.terminals("x"), world.clock, interface="rs232", line_end=line_end)
+    assert meter.line_ends.reply == line_end.encode()
+    assert line_end.encode() in meter.line_ends.messages
+
+
+def test_nothing_that_is_sent_breaks_it(meter: Keithley2000, world: World) -> None:
+    words = [
+        ":INIT", ":ABOR", "READ?", "FETC?", "*TRG", "*WAI", "*RST", ":TRIG:SOUR", "BUS", "IMM",
+        ":SAMP:COUN", "2", "1024", "-1", "1e999", "MIN", "MAX", ";", ",", ":TRAC:DATA?", ":TRAC:POIN",
+        ":TRAC:FEED:CONT", "NEXT", "NEV", ":VOLT:DC:RANG", ":VOLT:NPLC", "ON", "OFF", "?", "\x00", "é",
+        "'VOLT",
+    ]  # fmt: skip
+    generator = random.Random(20261122)  # noqa: S311
+    for _ in range(2000):
+        parts = [generator.choice(words) for _ in range(generator.randint(0, 5))]
+        reply = meter.handle(generator.choice(("", " ")).join(parts).encode("latin-1"))
+        assert reply is None or reply.isascii()
+        world.clock.sleep(generator.choice((0.0, 0.3, 2.0)))
+    meter.device_clear()
+    assert say(meter, "*RST;*CLS;*IDN?") == meter.identity
