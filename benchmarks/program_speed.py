@@ -1,4 +1,4 @@
-"""How long the program keeps its user waiting: CPU time of `bench --help`, wall time of a whole dry run.
+"""How long the program keeps its user waiting: CPU time of importing it and of its help, wall time of a dry run.
 
 Each is given beside the bare interpreter's start in the same run, since the machine decides both:
 
@@ -14,7 +14,7 @@ import tempfile
 import time
 from statistics import median
 
-REPEATS = 5
+REPEATS = 9
 
 
 def spent(*arguments: str) -> tuple[float, float]:
@@ -32,9 +32,10 @@ def spent(*arguments: str) -> tuple[float, float]:
 
 
 def main() -> None:
-    bench = [sys.executable, "-c", "from bench.cli import main; main()"]
+    bench = [sys.executable, "-c", "from bench.cli.app import main; main()"]
     commands = {
         "python -c pass": [sys.executable, "-c", "pass"],
+        "import bench": [sys.executable, "-c", "import bench"],
         "bench --help": [*bench, "--help"],
         "bench run paper --dry-run": [*bench, "run", "paper", "--dry-run"],
     }

@@ -1,12 +1,11 @@
-"""The `bench` command: its commands in the order of the help, and what becomes of a mistake."""
+"""The `bench` command: what stands before a command, and what becomes of a mistake."""
 
 from __future__ import annotations
 
 import os
 import sys
 import traceback
-from importlib import import_module
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
@@ -16,32 +15,6 @@ from bench.cli.options import app
 DONE, NOT_DONE = 0, 2
 CTRL_C = 130
 """What the command-line library makes of a Ctrl-C."""
-
-COMMANDS: Final = (
-    "run",
-    "resume",
-    "abort",
-    "control",
-    "check",
-    "runs",
-    "show",
-    "export",
-    "import_",
-    "calibrate",
-    "verify",
-    "report",
-    "simulate",
-    "instruments",
-    "init",
-    "diagnose",
-    "compensate",
-    "stability",
-    "compare",
-    "budget",
-    "require",
-    "plan_points",
-)
-"""The modules of the commands, in the order in which the help lists them."""
 
 
 def _print_version(asked: bool) -> None:
@@ -63,10 +36,6 @@ def _common(
     ] = False,
 ) -> None:
     """Calibrates triaxial accelerometer blocks on a dividing head."""
-
-
-for _command in COMMANDS:
-    import_module(f"bench.cli.{_command}")
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -7,19 +7,18 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
-from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.core import TyperCommand, TyperOption
+
+from bench.cli.commands import Commands
+
+DEVICES: Final = "BENCH_DEVICES"
 
 
-class _Commands(TyperGroup):
-    """The commands: each that takes a bench file, or has one on record, takes folders of instruments, too."""
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command with the option `--devices` where it is of use."""
-        command = super().get_command(ctx, cmd_name)
-        names = {parameter.name for parameter in command.params} if command is not None else set()
-        if command is not None and "devices" not in names and ("bench" in names or cmd_name == "resume"):
-            command.params.append(_devices_option())
-        return command
+def with_devices(command: Any) -> Any:
+    """Return a command with `--devices`, where it takes a bench file or has one on record."""
+    if command.name == "resume" or any(parameter.name == "bench" for parameter in command.params):
+        command.params.append(_devices_option())
+    return command
 
 
 def _devices_option() -> Any:
@@ -61,11 +60,9 @@ def _restore(before: str | None) -> None:
         os.environ[DEVICES] = before
 
 
-DEVICES: Final = "BENCH_DEVICES"
-
 app = typer.Typer(
     name="bench",
-    cls=_Commands,
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

@@ -22,17 +22,19 @@ traceback of an error. A result as JSON (`--json FILE`, `-` for standard output)
 
 
 def commands() -> dict[str, Any]:
-    """Return the commands by name, those of groups as "group name"."""
+    """Return the commands by name, each imported; those of groups as "group name"."""
     return dict(_all(typer.main.get_command(app), ""))
 
 
-def _all(command: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    for name, inner in getattr(command, "commands", {}).items():
+def _all(group: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    context = typer.Context(group)
+    for name in group.list_commands(context):
         whole = f"{prefix} {name}".strip()
-        if getattr(inner, "commands", None):
-            yield from _all(inner, whole)
+        command = group.get_command(context, name)
+        if hasattr(command, "list_commands"):
+            yield from _all(command, whole)
         else:
-            yield whole, inner
+            yield whole, command
 
 
 def page() -> str:

@@ -81,10 +81,16 @@ def reachable(root: type[BaseModel]) -> list[type[BaseModel]]:
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
     """Yield the models that an annotation can hold: itself, alternatives, members of lists and mappings."""
     if inspect.isclass(annotation) and not get_args(annotation) and issubclass(annotation, BaseModel):
-        yield annotation
+        yield from chosen_from(annotation)
     elif get_origin(annotation) is not Literal:
         for argument in get_args(annotation):
             yield from models_in(argument)
+
+
+def chosen_from(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """Return what may stand where a model does: the sections of all instruments for the form of their role."""
+    alternatives = getattr(model, "alternatives", tuple)
+    return list(alternatives()) or [model]
 
 
 def default(field: FieldInfo) -> str:
@@ -170,8 +176,8 @@ def what(annotation: Any, metadata: list[Any], title: Title) -> str:
         key, value = arguments
         return f"by name ({what(key, [], title)}): {what(value, [], title)}"
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-        heading = title(annotation)
-        return f"[{heading}](#{anchor(heading)})" if heading else "keys with values"
+        headings = [title(model) for model in chosen_from(annotation)]
+        return " or ".join(f"[{h}](#{anchor(h)})" if h else "keys with values" for h in headings)
     if inspect.isclass(annotation) and issubclass(annotation, Enum):
         return " or ".join(code(member.value) for member in annotation)
     name = _PLAIN.get(annotation, getattr(annotation, "__name__", str(annotation)))

@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from types import ModuleType
 from typing import Any, Final, Literal, get_args, get_origin
 
+import yaml
 from pydantic import BaseModel
 
-from bench.devices.voltmeters import VOLTMETERS
-from bench.files.bench.file import BenchFile
-from docs.generators.forms import anchor, models_in, reachable
-from docs.generators.markdown import code, first_line, prose, table
+from bench.devices.device import Device, Role
+from bench.devices.registry import devices
+from docs.generators.forms import anchor
+from docs.generators.markdown import code, prose
 
-_ROLES: Final = {"voltmeters": "Voltmeters", "head": "Dividing heads", "chamber": "Thermal chambers"}
+_ROLES: Final[dict[Role, str]] = {
+    "voltmeter": "Voltmeters",
+    "head": "Dividing heads",
+    "chamber": "Thermal chambers",
+}
+_RESOURCES: Final = (
+    ("GPIB", "GPIB"),
+    ("ASRL", "RS-232"),
+    ("TCPIP", "LAN"),
+    ("prologix", "a GPIB adapter"),
+)
 
 _INTRODUCTION: Final = """\
 # Instruments
 
-What stands under `driver` in a [bench file](bench-files.md). Every one of them can be simulated: `bench run
-… --dry-run` and `bench simulate` serve it on a TCP port and speak with it through the same driver. An
-instrument that is not here is [a page of work](../writing-a-driver.md). How each is connected and set is in
-[From wiring to result](../real-bench.md).
+What stands under `driver` in a [bench file](bench-files.md), by role, with an example of each. All but those that
+a person works can be simulated: `bench run … --dry-run` and `bench simulate` serve them on TCP ports and speak with
+them through the same drivers. An instrument that is not here is [a page of work](../writing-a-driver.md), in a
+folder of your own if you like. How each is connected and set is in [From wiring to result](../real-bench.md).
+`bench check` holds a procedure against the limits below before anything is sent.
 """
 
 
@@ -31,72 +45,75 @@ def driver_name(model: type[BaseModel]) -> str:
     return str(get_args(field.annotation)[0])
 
 
-def sections_of(role: str) -> list[type[BaseModel]]:
-    """Return the sections of a role (a key of the section `instruments`), in the order of the program."""
-    instruments: Any = BenchFile.model_fields["instruments"].annotation
-    held = models_in(instruments.model_fields[role].annotation)
-    return [model for section in held for model in reachable(section)[:1] if driver_name(model)]
-
-
 def drivers() -> list[str]:
     """Return the names of all drivers."""
-    return [driver_name(section) for role in _ROLES for section in sections_of(role)]
+    return [device.name for role in _ROLES for device in devices().of(role)]
 
 
 def page() -> str:
     """Return the page."""
     parts = [_INTRODUCTION]
     for role, heading in _ROLES.items():
-        rows = [
-            (_link(section), first_line(prose(section)), _interfaces(section))
-            for section in sections_of(role)
-        ]
-        parts.append(f"## {heading}\n\n{table(('driver', 'what it is', 'connected by'), rows)}")
-    parts.append(_limits())
+        parts.append(f"## {heading}")
+        parts += [_section(device) for device in devices().of(role)]
     return "\n\n".join(parts)
 
 
-def _link(section: type[BaseModel]) -> str:
-    name = driver_name(section)
-    return f"[{code(name)}](bench-files.md#{anchor(f'Driver {name}')})"
+def _section(device: Device) -> str:
+    facts = getattr(device.section, "facts", None)
+    listed = "\n".join(f"- {name}: {text}" for name, text in _facts(device, facts))
+    keys = f"[Its keys](bench-files.md#{anchor(f'Driver {device.name}')})."
+    example = {"driver": device.name, **device.example}
+    written = yaml.safe_dump(example, sort_keys=False, default_flow_style=None).rstrip()
+    texts = [f"### {device.name}", prose(device.section), listed, f"```yaml\n{written}\n```", keys]
+    return "\n\n".join(text for text in texts if text)
 
 
-def _interfaces(section: type[BaseModel]) -> str:
-    """Return how an instrument can be connected: the words of `interface`, else what its resource may be."""
-    interface = section.model_fields.get("interface")
-    if interface is not None:
-        return ", ".join(map(str, get_args(interface.annotation)))
-    resource = section.model_fields.get("resource")
-    return "a person" if resource is None else _of_resource(resource.metadata)
+def _facts(device: Device, facts: ModuleType | None) -> Iterator[tuple[str, str]]:
+    """Yield what is told of an instrument, as far as its facts say it."""
+    if device.simulation is None:
+        yield "connected by", "a person; nothing stands for it in a dry run but the scripted operator"
+    else:
+        yield "connected by", ", ".join(_wires(device))
+    for name, told, unit in (
+        ("RANGES_V", "ranges", " V"),
+        ("NPLC", "power-line cycles", ""),
+        ("BAUD_RATES", "baud rates", ""),
+    ):
+        values = getattr(facts, name, None)
+        if values:
+            yield told, ", ".join(f"{value:g}" for value in values) + unit
+    most = getattr(facts, "MEMORY_READINGS", None)
+    if most is not None:
+        least = getattr(facts, "LEAST_SAMPLES", 1)
+        yield "samples of a reading", f"{least} to {most:,} for one channel"
+    if device.simulated:
+        yield "its simulation heeds", ", ".join(code(key) for key in device.simulated)
+    source = _source(facts)
+    if source:
+        yield "source", source
 
 
-def _of_resource(metadata: list[Any]) -> str:
-    for entry in metadata:
-        cells = getattr(getattr(entry, "func", None), "__closure__", None) or ()
-        for cell in cells:
-            if isinstance(cell.cell_contents, tuple):
-                told = {"TCPIP": "lan", "ASRL": "rs232"}
-                return ", ".join(told.get(word, word) for word in cell.cell_contents)
-    return "lan, gpib, rs232"
+def _wires(device: Device) -> list[str]:
+    """Return how an instrument is connected: the words of its `interface`, else what its resource may be."""
+    fields: dict[str, Any] = device.section.model_fields
+    if "interface" in fields and get_args(fields["interface"].annotation):
+        return [str(word) for word in get_args(fields["interface"].annotation)]
+    allowed = [
+        cell.cell_contents
+        for entry in getattr(fields.get("resource"), "metadata", ())
+        for cell in (getattr(getattr(entry, "func", None), "__closure__", None) or ())
+        if isinstance(cell.cell_contents, tuple)
+    ]
+    words = allowed[0] if allowed else (str(device.example.get("resource", "")),)
+    return [told for word, told in _RESOURCES if any(str(w).startswith(word) for w in words)]
 
 
-def _limits() -> str:
-    rows = []
-    for name, kind in VOLTMETERS.items():
-        limits = kind.limits
-        rows.append(
-            (
-                code(name),
-                ", ".join(f"{v:g}" for v in limits.ranges_v),
-                ", ".join(f"{n:g}" for n in limits.nplc),
-                f"{limits.least_samples} to {limits.most_samples:,}",
-                ", ".join(map(str, kind.baud_rates)) or "–",
-            )
-        )
-    head = ("driver", "ranges / V", "power-line cycles", "samples of a reading", "baud rates")
-    return f"""\
-## What voltmeters can do
-
-`bench check` holds a procedure against these before anything is sent.
-
-{table(head, rows)}"""
+def _source(facts: ModuleType | None) -> str:
+    """Return what the facts say of where they are from."""
+    text = " ".join(prose(facts).split()) if facts is not None else ""
+    for word in ("Sources: ", "Source: "):
+        _, found, rest = text.partition(word)
+        if found:
+            return rest.rstrip(".")
+    return ""

@@ -9,6 +9,7 @@ from importlib import import_module
 import pytest
 
 import bench
+from bench.cli.commands import COMMANDS, load_command
 
 HEAVY = {"numpy", "scipy", "pydantic", "matplotlib", "pandas", "rich", "typer"}
 
@@ -29,8 +30,20 @@ def test_importing_bench_imports_nothing_heavy():
 def test_the_help_imports_nothing_heavy():
     call = "from bench.cli.app import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass"
     loaded = modules_after(call)
-    assert "bench.cli.plan_points" in loaded
+    assert "bench.cli.commands" in loaded
     assert not HEAVY - {"typer"} & loaded
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_command_imports_anything_heavy_before_it_runs(name):
+    loaded = modules_after(f"from bench.cli.commands import load_command; load_command({name!r})")
+    assert not HEAVY - {"typer"} & loaded
+
+
+def test_the_list_of_commands_says_what_each_says_itself():
+    for name, line in COMMANDS.items():
+        command = load_command(name)
+        assert (command.name, command.help.splitlines()[0]) == (name, line)
 
 
 def test_every_public_name_is_what_it_was_when_every_module_is_imported():

@@ -37,7 +37,8 @@ from tests.support.instrument_stand import Mute, answering, bench_data, known, s
 
 PROTOCOLS = {"voltmeter": Voltmeter, "head": DividingHead, "chamber": ThermalChamber}
 TRUTHS = {"voltmeter": VoltmeterTruth, "head": HeadTruth, "chamber": ChamberTruth}
-SHORT = "0.05 s"
+SHORT, LONG = "0.05 s", "60 s"
+"""Timeouts in real time: of one that never answers, and of one that always does, however slow the machine."""
 
 every = pytest.mark.parametrize("device", known(wired=False), ids=lambda device: device.name)
 wired = pytest.mark.parametrize("device", known(), ids=lambda device: device.name)
@@ -121,7 +122,7 @@ def test_it_says_who_it_is_and_keeps_its_protocol(device, tmp_path):
 @wired
 @pytest.mark.parametrize("reply", [b"ACME,COFFEE-MAKER,0,1.0", b"COFFEE-MAKER", b"42"])
 def test_another_instrument_is_refused(device, tmp_path, reply):
-    with standing(device, tmp_path, answering(reply), timeout=SHORT) as stand:
+    with standing(device, tmp_path, answering(reply), timeout=LONG) as stand:
         with pytest.raises((InstrumentRefused, BadReading)) as refusal:
             stand.driver.open()
         assert refusal.value.instrument == stand.driver.name
@@ -150,7 +151,7 @@ def test_one_that_falls_silent_later_is_lost_and_let_go(device, tmp_path):
         def handle(self, message, interrupted):
             return None if silent else self._dialect.handle(message, interrupted)
 
-    with standing(device, tmp_path, FallsSilent, timeout=SHORT) as stand:
+    with standing(device, tmp_path, FallsSilent, timeout="1 s") as stand:
         stand.driver.open()
         silent = True
         driver = stand.driver

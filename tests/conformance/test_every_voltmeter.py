@@ -116,7 +116,7 @@ def test_a_cut_reading_is_none(device, tmp_path):
             reply = self._dialect.handle(message, interrupted)
             return reply[:-3] if cut and reply is not None and len(reply) > 40 else reply
 
-    with standing(device, tmp_path, Cutting, timeout="0.2 s") as stand:
+    with standing(device, tmp_path, Cutting, timeout="60 s") as stand:
         stand.driver.open()
         stand.driver.configure(stand.settings())
         stand.driver.start()

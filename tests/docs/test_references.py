@@ -70,7 +70,7 @@ def test_effects_estimators_verbs_columns_drivers_and_commands_stand_on_their_pa
         ("estimators.md", [f"`{name}`" for name in ESTIMATORS]),
         ("procedure-files.md", [f"| `{verb}` |" for verb in VERBS]),
         ("readings.md", [f"| `{name}` |" for name in (*csv.REQUIRED, *csv.OPTIONAL, *csv.AS_TEXT)]),
-        ("instruments.md", [f"[`{name}`]" for name in drivers()]),
+        ("instruments.md", [f"### {name}\n" for name in drivers()]),
         ("commands.md", [f"## {name}\n" for name in commands()]),
     ):
         assert names

@@ -33,8 +33,7 @@ def test_a_schema_is_one_and_describes_what_it_is_of(name):
         ("calibrate", "calibrate finished --estimator robust --join-verification"),
         ("calibrate", f"calibrate {DATA / 'xsens-38.csv'} --g 9.81744"),
         ("verify", "verify finished --rule guarded"),
-        ("report", "report finished"),
-        ("budget", "budget --procedure quick --trials 2200 --out budget"),
+        ("budget", "budget --procedure quick --trials 2200"),
         ("require", "require --accuracy 3e-4 --procedure quick"),
         ("plan-points", "plan-points --u all=2e-4"),
         ("check", "check quick"),
@@ -47,6 +46,13 @@ def test_a_real_result_keeps_to_its_schema(bench, finished, name, command):
     status, _, err = bench(*command.split(), "--json", "result.json")
     assert status < 2, err
     keeps_to(name, json.loads(Path("result.json").read_text(encoding="utf-8")))
+
+
+def test_the_result_of_a_report_holds_a_verification():
+    """The page itself takes seconds; its result is the path and what `verify` writes."""
+    (verified,) = json.loads(f"[{(DATA / 'records' / 'verify.json').read_text(encoding='utf-8')}]")
+    verified = verified[0] if isinstance(verified, list) else verified
+    keeps_to("report", {"report": "runs/finished/report.html", "verification": verified})
 
 
 def test_the_lines_of_a_record_keep_to_their_schema(finished):

@@ -200,7 +200,7 @@ def test_operator_actions_count_what_no_motor_does(tmp_path):
     assert operator_actions(plan, manual) == 1 + 2 + 1 + 2 + 3
     alone = manual.instruments.model_copy(update={"chamber": None})
     assert operator_actions(plan, manual.model_copy(update={"instruments": alone})) == 2 + 1 + 1 + 3
-    motor = manual.instruments.head.model_copy(update={"driver": "zaber"})
+    motor = load_bench(find_bench("bench-motorised")).instruments.head
     turned = manual.instruments.model_copy(update={"head": motor})
     assert operator_actions(plan, manual.model_copy(update={"instruments": turned})) == 1 + 2 + 1 + 2
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 SEED = 20261121
 FAULTS = 40
 SHORT, PATIENT = "0.3 s", "3 s"
-"""A reply that a busy machine delays is one fault more in a campaign; where one fault is tried, there is no other."""
+"""A reply that a busy machine delays is one fault more in a campaign; beside a single fault there is none."""
 NEVER_S = 120.0
 """No trial is judged by its time here: a machine that is busy is not a fault."""
 BENCHES = ("paper-stand", "bench-rs232", "bench-prologix", "bench-motorised")

@@ -7,10 +7,12 @@ import pytest
 
 from bench.procedure.plan import OnFailure, Plan, SetTemperature
 from bench.readings.reading import Reading, readings_of
+from bench.run.mounting import UNTOUCHED
 from bench.run.record import Record, RecordError
 from bench.run.resume import Progress, resume_point
 from bench.run.workbench import Instruments
 from drivers.interfaces import (
+    Answer,
     BadReading,
     BenchError,
     Identity,
@@ -23,6 +25,7 @@ from tests.support.runner_bench import (
     PLAN,
     READS,
     Bench,
+    Person,
     make_plan,
     make_runner,
     new_record,
@@ -96,6 +99,27 @@ def test_a_resumed_run_counts_bench_time_on(tmp_path):
     assert told == [point.bench_s]
     assert times == sorted(times)
     assert times[0] >= 3600.0
+
+
+def test_a_block_that_was_mounted_again_meanwhile_makes_another_visit_of_what_follows(tmp_path):
+    """Its readings have the stand errors of a mounting of their own: a number that no mounting of the plan has."""
+
+    class Honest(Person):
+        def ask(self, prompt):
+            answer = super().ask(prompt)
+            return Answer(prompt.id, prompt.choices[-1]) if UNTOUCHED in prompt.choices else answer
+
+    record = new_record(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        make_runner(Bench(KeyboardInterrupt(), 20), record).run()
+    record.close()
+    record, history = Record.reopen(tmp_path / "run", lambda: NOON)
+    runner = make_runner(Bench(), record, progress=Progress.of(history))
+    dataclasses.replace(runner, person=Honest(Bench())).run(resume_point(PLAN, history))
+    record.close()
+    _, keys, rows = recorded(tmp_path / "run")
+    assert keys == READS
+    assert [row["series"] for row in rows] == [1, 1, 2, 1, 1, 1]  # installation 2 was mounted as planned
 
 
 def test_every_absent_instrument_is_named_at_once(tmp_path):

@@ -1,9 +1,8 @@
 """Pages of the documentation as what they show: blocks of code, commands with their output.
 
 A comment on the line before a block marks it: `<!-- file: NAME -->` is a file that later commands read,
-`data: PATH` one of the repository that they read, `status: N` how the last command ends. Not carried out are
-blocks with `shell: WHY`, and with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose commands and options must
-exist.
+`data: PATH` one of the repository that they read, `status: N` how the last command ends. Not carried out are blocks
+with `shell: WHY`; with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose commands and options must exist.
 """
 
 from __future__ import annotations

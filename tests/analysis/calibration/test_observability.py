@@ -252,3 +252,9 @@ def test_the_cubic_and_the_odd_square_are_told_as_inseparable():
     assert set(direction.others) == {"terms.K3[y]", "terms.Koq[y]"}
     assert direction.coefficients == ["Kyy"]
     assert "goes into coefficients without a trace: 1 of terms." in direction.text()
+
+
+def test_a_bias_changes_in_the_unit_of_the_signals_and_a_factor_per_g():
+    mixed = Direction(DirectionKind.MIXED, {"thermal_emf.E[x]": 1.0, "U0x": 2e-6, "Kxx": -3e-6})
+    assert mixed.text("V").endswith("1 of thermal_emf.E[x] (SI) is +2 µV in U0x, -3 µV/g in Kxx")
+    assert mixed.text("counts").endswith("is +2e-06 counts in U0x, -3e-06 counts/g in Kxx")

@@ -31,7 +31,6 @@ from drivers.wire.replay import (
 )
 from drivers.wire.visa import MessageSession
 from drivers.zaber.driver import ZaberHead
-from drivers.zaber.facts import READ_TERMINATION
 from sim.agilent_34401a.meter import Agilent34401A as SimulatedMeter
 from sim.world.inputs import Terminals
 from tests.drivers.wire.test_faulty_wire import CHAMBERS, DEG, HEADS, at_random, dialect
@@ -169,7 +168,7 @@ def test_the_instruments_of_a_run_give_their_readings_again() -> None:
     assert outcomes[1:] == [None, None, readings[0], None, readings[1], None, readings[2]]
 
     travel = Travel(-5 * DEG, 365 * DEG, 5 / 3600 * DEG, 10 * DEG, backoff_rad=DEG, settle_s=0.5)
-    with replayed(SAMPLE, "head", read_termination=READ_TERMINATION) as (session, clock):
+    with replayed(SAMPLE, "head", read_termination="\r\n") as (session, clock):
         head = ZaberHead("head", session, clock, travel, steps_per_degree=4266.6667)
         assert str(head.open()) == "Zaber 50952 73021 7.38"
         assert [head.move(t * DEG, 1, "turn").angle_rad / DEG for t in (0, 10)] == pytest.approx(

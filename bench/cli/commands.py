@@ -1,0 +1,66 @@
+"""The commands there are. A module is imported when its command is used, so that `bench --help` stays quick."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from keyword import iskeyword
+from typing import Any, Final
+
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command_from_info
+
+COMMANDS: Final = {
+    "run": "Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report.",
+    "resume": "Go on with an interrupted run at the first point without a reading.",
+    "abort": "End an interrupted run for good; its record is kept.",
+    "control": "Ask something of a run that another program is carrying out;"
+    " typed at a prompt it is :pause, :redo, …",
+    "check": "Validate a procedure against a bench and print steps, time and operator actions;"
+    " touch no instrument.",
+    "runs": "List the runs, what became of them, and how to go on.",
+    "show": "Show what a run holds: inputs, events, readings.",
+    "export": "Write the readings of a run as a readings file.",
+    "import": "Make a run of a readings file that was measured elsewhere.",
+    "calibrate": "Coefficients with uncertainty from runs or readings files.",
+    "verify": "Δg at the verification points against the limit; exit status 1 when one is outside.",
+    "report": "Write the report of a run: one HTML page.",
+    "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
+    " or command a bench that is served.",
+    "instruments": "Open every instrument of a bench at once:"
+    " identity, self-test, a reading, and all that is wrong.",
+    "init": "Write copies of the shipped procedures and bench files, to edit.",
+    "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
+    "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",
+    "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
+    "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
+    "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",
+    "require": "How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now.",
+    "plan-points": "Test points that reach an uncertainty in the least bench time, or the most in a given time.",
+}  # fmt: skip
+"""Every command with the first line of its help, in the order in which the help lists them."""
+
+
+class Commands(TyperGroup):
+    """The group of all commands; each stands in the module of its name."""
+
+    def __init__(self, **settings: Any) -> None:
+        listed = {name: TyperCommand(name, help=line) for name, line in COMMANDS.items()}
+        super().__init__(**{**settings, "commands": listed})
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command, imported; None where there is none of that name."""
+        return load_command(cmd_name) if cmd_name in COMMANDS else None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of the commands, of which none is imported for it."""
+        TyperGroup(commands=dict(self.commands)).format_commands(ctx, formatter)
+
+
+def load_command(name: str) -> Any:
+    """Import the module of a command and return what the library makes of its function."""
+    from bench.cli.options import app, with_devices
+
+    word = name.replace("-", "_")
+    module = import_module(f"bench.cli.{word}_" if iskeyword(word) else f"bench.cli.{word}")
+    (info,) = (one for one in app.registered_commands if one.callback.__module__ == module.__name__)
+    return with_devices(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))
