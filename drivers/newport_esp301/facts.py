@@ -1,10 +1,11 @@
 """What is true of a Newport ESP301 motion controller; an ESP300 speaks the same.
 
-Sources: ESP301 User's Manual, sections "Remote Mode", "Command Syntax", "Error Messages", as read in InstrumentKit
-(`newportesp301.py`) and pymeasure (`esp300.py`), which has the table of errors. That a command ends in CR and a
-reply in CR LF, and that commands joined by `;` answer a line each, is seen in public programs that talk to an
-ESP301, with its replies noted beside: `113, 314883, AXIS-1 MOTOR NOT ENABLED` to `TB?`. An ESP300 answers
-`ESP300 Version 3.04 07/27/01` to `*IDN?`, over RS-232 only with RTS/CTS.
+Sources: commands and table of errors as in the public clients InstrumentKit (`newportesp301.py`) and pymeasure
+(`esp300.py`). That a command ends in CR and a reply in CR LF, and that commands joined by `;` answer a line each,
+is from public programs for an ESP301 with its replies noted beside (`113, 314883, AXIS-1 MOTOR NOT ENABLED` to
+`TB?`). An ESP300 was seen to answer `ESP300 Version 3.04 07/27/01` to `*IDN?`, over RS-232 only with RTS/CTS.
+Of none of them, but of the ESP301 User's Manual as it is remembered, and so to be confirmed at the first one: the
+motors are off after it was switched on, a unit is a label alone, the error buffer holds ten messages.
 """
 
 from typing import Final
