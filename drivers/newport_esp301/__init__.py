@@ -1,0 +1,1 @@
+"""Rotary stages with a Newport ESP301 motion controller."""
