@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -20,6 +21,7 @@ from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 from bench.files.model import load_model
 from bench.model import Conditions
+from bench.model import block as blocks_model
 from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.readings.csv import write_csv
@@ -196,6 +198,9 @@ def test_the_page_of_an_effect(bench, wide, monkeypatch, tmp_path):
     monkeypatch.setitem(CATALOGUE, effect.name, effect)
     (applied,) = load_model(tmp_path / "cable.yaml").applied_effects()
     assert float(applied.values["per_turn"]) == pytest.approx(np.radians(30 / 3600))
+    args = blocks_model.Block(-2.0 * np.eye(3), np.zeros(3)), one_reading_at(np.pi / 2), np.zeros((1, 5))
+    pulled = replace(MODEL, effects=(applied,)).readings(*args) - MODEL.readings(*args)
+    assert np.abs(pulled).max() == pytest.approx(2.0 * np.radians(7.5 / 3600), rel=1e-3)
 
 
 def one_reading_at(angle_rad):
@@ -212,7 +217,7 @@ def test_the_page_of_an_estimator(bench, wide, monkeypatch):
     code, command, proof = (block for block in blocks(page) if block.kind in {"python", "console"})
     names = {}
     exec(compile(code.text, str(page), "exec"), names)  # noqa: S102 - our own page
-    estimator = names["FIRST_PASS"]
+    estimator = names["ESTIMATOR"]
     monkeypatch.setitem(ESTIMATORS, estimator.name, estimator)
     (shown,) = commands(command)
     status, printed = run(shown.words, bench)

@@ -11,7 +11,8 @@ from bench.analysis.budget.setup import Setup
 from bench.analysis.calibration import gls
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
-from bench.analysis.calibration.estimators import Task, in_a_budget
+from bench.analysis.calibration.estimator import Task
+from bench.analysis.calibration.estimators import in_a_budget
 from bench.analysis.calibration.result import Noise
 from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES

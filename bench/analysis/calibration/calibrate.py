@@ -12,7 +12,8 @@ import numpy as np
 from bench.analysis.calibration import gls, mistakes, outliers
 from bench.analysis.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
-from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, Estimator, Task, find_estimator
+from bench.analysis.calibration.estimator import Estimator, Task
+from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.linear import linear_estimate
 from bench.analysis.calibration.outliers import Chosen

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
+from bench.analysis.calibration.estimator import Estimator
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Ints
 from bench.model.geometry import within_half_turn
@@ -105,3 +108,11 @@ def _cells(readings: Readings) -> tuple[Ints, Ints]:
             f"{np.degrees(readings.angle_rad[worst]):.4f}°; use the default estimator"
         )
     return cell, count
+
+
+ESTIMATOR: Final = Estimator(
+    "closed-form",
+    "the paper's (7)-(8)",
+    gain=lambda _, rows: closed_form_gain(rows),
+    angles_rad=nominal_angles_rad,
+)

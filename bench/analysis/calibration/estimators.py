@@ -1,101 +1,32 @@
 """The estimators, each once: what `calibrate`, `budget`, `require` and their help texts know of them.
 
-A further one is a module of its own and one line in `ESTIMATORS`.
+A further one is a module of this folder with an `ESTIMATOR`, and its name in `MODULES`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from importlib import import_module
 from typing import Final
 
-from bench.analysis.calibration import gls, outliers
-from bench.analysis.calibration.closed_form import closed_form_gain, nominal_angles_rad
-from bench.analysis.calibration.design import Problem
-from bench.analysis.calibration.linear import least_squares_gain
+from bench.analysis.calibration.estimator import Estimator
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats
-from bench.readings.table import Readings
 
 GLS: Final = "gls"
 """The name of the one that is used where none is asked for."""
 CLOSED_FORM: Final = "closed-form"
 ROBUST: Final = "robust"
 
-
-@dataclass(frozen=True)
-class Task:
-    """Readings to weigh: their `signal` (n, 3) in V, `fit` by generalised least squares, and how to fit anew.
-
-    `refit` takes the shifts of readings that are to have no weight.
-    """
-
-    problem: Problem
-    signal: Floats
-    fit: gls.Fit
-    refit: Callable[[tuple[gls.Shift, ...]], gls.Fit]
+MODULES: Final = ("gls", "closed_form", "linear", "outliers")
+"""The modules that have an estimator, in the order in which they are told."""
 
 
-def _as_it_is(task: Task) -> gls.Fit:
-    return task.fit
+def _of(module: str) -> Estimator:
+    estimator: Estimator = import_module(f"bench.analysis.calibration.{module}").ESTIMATOR
+    return estimator
 
 
-def _without_outliers(task: Task) -> gls.Fit:
-    return outliers.search(task.problem, task.fit, task.refit, outliers.most_outliers(task.problem))
-
-
-@dataclass(frozen=True)
-class Estimator:
-    """One way from readings to coefficients; `phrase` says it in a few words, `also` are further names.
-
-    `gain` gives the map (12, n, 3) of one that weighs the readings in a fixed manner; it takes oriented
-    readings alone. Without it `weigh` gives the fit. Its map in a budget is then the one at which it comes to
-    rest from readings without errors, in which nothing is an outlier: a budget is linear, and so shows what the
-    estimator does to usual errors, not what it gains or loses where a reading is an outlier. Where that map is
-    another estimator's, `counts_as` names it. `angles_rad` gives the angles (n,) that it takes for granted and
-    raises `CalibrationError` for other readings; left out, they are those of the readings.
-    """
-
-    name: str
-    phrase: str
-    weigh: Callable[[Task], gls.Fit] = _as_it_is
-    gain: Callable[[Problem, Readings], Floats] | None = None
-    angles_rad: Callable[[Readings], Floats] | None = None
-    drops_outliers: bool = False
-    also: tuple[str, ...] = ()
-    counts_as: str = ""
-
-    @property
-    def weighs_all(self) -> bool:
-        """Whether it can take readings whose modulus alone is known."""
-        return self.gain is None
-
-
-ESTIMATORS: Final[Mapping[str, Estimator]] = {
-    estimator.name: estimator
-    for estimator in (
-        Estimator(GLS, "all readings, weighed"),
-        Estimator(
-            CLOSED_FORM,
-            "the paper's (7)-(8)",
-            gain=lambda _, rows: closed_form_gain(rows),
-            angles_rad=nominal_angles_rad,
-        ),
-        Estimator(
-            "least-squares",
-            "all readings alike",
-            gain=lambda problem, _: least_squares_gain(problem),
-            also=("ols",),
-        ),
-        Estimator(
-            ROBUST,
-            "gls without the weight of outliers",
-            _without_outliers,
-            drops_outliers=True,
-            counts_as=GLS,
-        ),
-    )
-}
+ESTIMATORS: Final[Mapping[str, Estimator]] = {found.name: found for found in map(_of, MODULES)}
 
 
 def find_estimator(asked: str) -> Estimator:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem
+from bench.analysis.calibration.estimator import Estimator
 from bench.analysis.calibration.free import NO_MODULI, Modulus, modulus_rows
 from bench.analysis.calibration.noise import (
     LEAST_REPEATS,
@@ -329,3 +330,6 @@ def misfit_test(
     chi2 = max(misfit - pure_error, 0.0)
     # the scatter over its own freedom is 1 by construction: the noise was estimated from it
     return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))
+
+
+ESTIMATOR: Final = Estimator("gls", "all readings, weighed")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from bench.analysis.calibration import gls
 from bench.analysis.calibration.design import FIXED, Problem, coefficient_columns
+from bench.analysis.calibration.estimator import Estimator
 from bench.base.arrays import Floats
 from bench.model.block import Block
 
@@ -45,3 +47,8 @@ def linear_estimate(problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats
     covariance = flat @ flat.T + along @ along.T + fixed @ fixed.T
     residuals = signal - problem.predict(block, others)
     return replace(fit, block=block, others=others, covariance=covariance, gain=gain, residuals=residuals)
+
+
+ESTIMATOR: Final = Estimator(
+    "least-squares", "all readings alike", gain=lambda problem, _: least_squares_gain(problem), also=("ols",)
+)

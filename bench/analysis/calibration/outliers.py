@@ -18,6 +18,7 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration.design import Problem
+from bench.analysis.calibration.estimator import Estimator, Task
 from bench.analysis.calibration.gls import MODULUS, SETTING, Fit, Shift, whitened_rows
 from bench.analysis.calibration.noise import whiten
 from bench.analysis.calibration.result import Outlier
@@ -140,3 +141,16 @@ _CHANNELS: Final = {SETTING: ("head", "arcsec", ARCSEC), MODULUS: ("modulus", "g
 def _studentised(found: Floats, variance: Floats, whole: Floats) -> Floats:
     free = variance > LEAST_PART * whole
     return np.asarray(np.where(free, np.abs(found) / np.sqrt(np.where(free, variance, 1.0)), 0.0))
+
+
+def _without_outliers(task: Task) -> Fit:
+    return search(task.problem, task.fit, task.refit, most_outliers(task.problem))
+
+
+ESTIMATOR: Final = Estimator(
+    "robust",
+    "gls without the weight of outliers",
+    _without_outliers,
+    drops_outliers=True,
+    counts_as="gls",
+)

@@ -8,7 +8,8 @@ import pytest
 
 from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.calibration import ESTIMATORS, calibrate
-from bench.analysis.calibration.estimators import GLS, Estimator, find_estimator
+from bench.analysis.calibration.estimator import Estimator
+from bench.analysis.calibration.estimators import GLS, find_estimator
 from bench.readings.csv import write_csv
 from tests.support.budget_bench import paper_setup, stand
 from tests.support.honest_runs import MODEL
