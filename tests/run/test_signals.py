@@ -116,7 +116,8 @@ def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
 
 @pytest.mark.slow
 def test_a_run_is_paused_and_aborted_from_another_program(tmp_path):
-    (tmp_path / "long.yaml").write_text(LONG)
+    # so long that it is not over before another program, on a machine however slow, has been heard
+    (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 400"))
     command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
     options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen([*command, "run", "long.yaml", "--dry-run", "--name", "hit"], **options)  # noqa: S603
