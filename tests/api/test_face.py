@@ -65,6 +65,7 @@ def test_a_frame_is_read_as_strictly_as_its_file(readings):
     assert len(program.read_readings(frame, skip_bad_rows=True)) == len(frame) - 1
 
 
+@pytest.mark.slow
 def test_verification_and_diagnosis_are_those_of_the_commands(bench, readings, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(Path("cache").absolute()))
     verdict = program.verify(readings, rule="guarded", limit=2e-4)
@@ -98,6 +99,7 @@ def test_a_budget_is_that_of_the_command(bench):
     assert "mounting_error" in found._repr_html_()
 
 
+@pytest.mark.slow
 def test_a_dry_run_leaves_nothing_and_is_that_of_the_command(bench):
     done = program.dry_run("quick", seed=5)
     assert list(Path().iterdir()) == []
@@ -113,6 +115,7 @@ def test_a_dry_run_leaves_nothing_and_is_that_of_the_command(bench):
     assert program.calibrate("kept", runs="mine").to_dict()["simulated"] is True
 
 
+@pytest.mark.slow
 def test_a_page_is_written_where_it_is_asked_for_and_nothing_else_is(readings, capsys):
     result = program.calibrate(readings)
     result.report("page.html")

@@ -149,6 +149,7 @@ def test_what_the_data_cannot_tell_is_added_only_when_asked(bench):
     assert "cannot tell" in " ".join(model.evidence.values())
 
 
+@pytest.mark.slow
 def test_several_sources_keep_their_order(bench):
     names = [measured("b.csv", 3), measured("a.csv", 5, K2=(0, 100e-6, 0)), measured("c.csv", 8)]
     assert bench("diagnose", *names, "--json", "all.json")[0] == 0

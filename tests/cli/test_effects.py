@@ -83,6 +83,7 @@ def test_the_model_that_a_dry_run_obeyed_is_found_by_a_fit(bench):
         assert abs(value) > 8 * found[name]["u"], name
 
 
+@pytest.mark.slow
 def test_a_run_is_evaluated_when_an_effect_of_its_simulation_is_known_no_more(bench, monkeypatch):
     """What only the simulation needed may go; whatever simulates with it, or is told to fit it, refuses it."""
     text = find_bench("paper-stand").read_text(encoding="utf-8")

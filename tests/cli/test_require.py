@@ -158,6 +158,7 @@ def test_what_cannot_be_answered_is_said_in_a_sentence(bench, arguments, words):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_costs_shift_the_limits(bench):
     base = (
         "require",

@@ -77,6 +77,7 @@ def test_mistakes_are_one_line_each(bench, readings, options, told):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_calibrate_points_to_compensate_where_temperatures_are_mixed(bench, readings, tmp_path):
     _, out, _ = bench("calibrate", readings)
     assert (

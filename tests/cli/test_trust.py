@@ -19,6 +19,7 @@ def measured(bench, paper_run):
     return Run(Path("runs/good")).readings()
 
 
+@pytest.mark.slow
 def test_a_verification_point_that_is_missing_is_not_passed_over(bench, measured):
     write_csv(measured, Path("r.csv"))
     lines = Path("r.csv").read_text().splitlines()
@@ -179,6 +180,7 @@ def test_the_closed_form_takes_360_degrees_written_as_0(bench, measured):
     )
 
 
+@pytest.mark.slow
 def test_a_report_that_cannot_be_written_is_not_done(bench, measured):
     write_csv(measured, Path("r.csv"))
     Path("report").write_text("in the way")

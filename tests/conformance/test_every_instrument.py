@@ -61,6 +61,7 @@ def test_its_declaration_holds(device, tmp_path):
         load_bench(path)
 
 
+@pytest.mark.slow
 @every
 def test_a_bench_with_it_is_checked_and_runs_dry(bench, tmp_path, monkeypatch, device):
     monkeypatch.setattr("bench.report.render_report", lambda _content: "")
@@ -143,6 +144,7 @@ def test_one_that_is_silent_is_lost_and_never_hangs(device, tmp_path):
         stand.driver.close()
 
 
+@pytest.mark.slow
 @wired
 def test_one_that_falls_silent_later_is_lost_and_let_go(device, tmp_path):
     silent = False

@@ -91,6 +91,7 @@ def test_an_overload_is_no_reading(device, tmp_path):
             reading(stand)
 
 
+@pytest.mark.slow
 @voltmeters
 def test_a_meter_that_was_switched_off_is_told_and_set_anew(device, tmp_path):
     with standing(device, tmp_path) as stand:

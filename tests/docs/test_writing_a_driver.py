@@ -164,6 +164,7 @@ def test_its_section_stands_in_a_bench_file_and_in_a_dry_run(bench, page, tmp_pa
     assert (status, err) == (0, ""), out
 
 
+@pytest.mark.slow
 def test_it_passes_what_every_instrument_must_do(folder):
     suite = [
         sys.executable,

@@ -86,6 +86,7 @@ def dialect(kind: str, world: World) -> Dialect:
     return dialects[kind]()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HEADS)
 def test_a_head_is_where_it_says_or_says_why_not(kind: str) -> None:
     world = a_world()
