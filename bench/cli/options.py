@@ -10,8 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from bench.cli.commands import Commands
-
-DEVICES: Final = "BENCH_DEVICES"
+from bench.devices import FOLDERS
 
 
 def with_devices(command: Any) -> Any:
@@ -49,15 +48,15 @@ def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
         if not Path(folder).is_dir():
             raise typer.BadParameter(f"{folder}: there is no such folder")
     if folders:
-        before = os.environ.get(DEVICES)
-        os.environ[DEVICES] = os.pathsep.join([*folders, *([before] if before else [])])
+        before = os.environ.get(FOLDERS)
+        os.environ[FOLDERS] = os.pathsep.join([*folders, *([before] if before else [])])
         ctx.call_on_close(lambda: _restore(before))
 
 
 def _restore(before: str | None) -> None:
-    os.environ.pop(DEVICES, None)
+    os.environ.pop(FOLDERS, None)
     if before is not None:
-        os.environ[DEVICES] = before
+        os.environ[FOLDERS] = before
 
 
 app = typer.Typer(

@@ -24,14 +24,13 @@ from typing import Annotated, Any, Final, Literal, Union, get_args
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, create_model
 
+from bench.devices import FOLDERS
 from bench.devices.device import Device, DeviceSection, Role
 from bench.devices.unknown import OF_ROLE
 from bench.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm
 from bench.devices.wires import WIRE_FACTS, WiredForm
 
 GROUP: Final = "triaxial_bench.devices"
-FOLDERS: Final = "BENCH_DEVICES"
-"""The environment's name for folders of devices."""
 
 _HERE: Final = __name__.rpartition(".")[0]
 

@@ -34,6 +34,7 @@ def test_the_help_imports_nothing_heavy():
     assert not HEAVY - {"typer"} & loaded
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_no_command_imports_anything_heavy_before_it_runs(name):
     loaded = modules_after(f"from bench.cli.commands import load_command; load_command({name!r})")

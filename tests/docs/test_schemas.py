@@ -27,6 +27,7 @@ def test_a_schema_is_one_and_describes_what_it_is_of(name):
     assert VALIDATORS[name].schema["description"].endswith(".")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "command"),
     [

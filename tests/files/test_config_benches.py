@@ -38,6 +38,7 @@ def without_drawing(monkeypatch):
     monkeypatch.setattr("bench.report.render_report", lambda _content: "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BENCHES)
 def test_a_dry_run_passes(bench, without_drawing, name):
     status, out, err = bench("run", "quick", "--dry-run", "--bench", name, "--name", "run", "--seed", "3")

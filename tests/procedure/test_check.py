@@ -123,6 +123,7 @@ def test_every_problem_is_told_at_once_and_the_status_says_so(bench):
     assert "try it" not in out
 
 
+@pytest.mark.slow
 def test_fewer_samples_than_a_voltmeter_takes_are_refused_as_its_driver_would(bench, monkeypatch):
     monkeypatch.setattr(facts, "LEAST_SAMPLES", 2)
     limits = VoltmeterLimits.of(facts)
@@ -175,6 +176,7 @@ def test_a_disk_that_is_too_full_is_a_problem(bench, monkeypatch):
     assert "MB of disk, and 1 MB are free" in out
 
 
+@pytest.mark.slow
 def test_what_a_dry_run_wrote_is_within_what_was_foreseen(bench):
     plan = load_procedure(find_procedure("quick")).plan
     assert bench("run", "quick", "--dry-run", "--name", "q")[0] in {0, 1}

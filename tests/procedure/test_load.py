@@ -187,6 +187,7 @@ def test_reading_a_point_twice_is_a_mistake_told_once(mistakes):
     )
 
 
+@pytest.mark.slow
 def test_an_endless_procedure_is_refused(mistakes):
     (told,) = mistakes("  - repeat: {times: 1000000000, steps: [{wait: {for: 1 s}}]}\n")
     assert told.startswith("3 steps: the procedure has more than 200000 steps")

@@ -103,6 +103,7 @@ def test_the_smallest_size_that_shows_is_about_that_of_the_noise(agrees):
     assert 5 < float(sizes["quadratic_nonlinearity"].split()[0]) < 60
 
 
+@pytest.mark.slow
 def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path):
     table = paper_run(np.random.default_rng(3), directions=(1, -1, 1))
     write_csv(table, tmp_path / "r.csv")

@@ -64,6 +64,7 @@ def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
         assert expected in text, name
 
 
+@pytest.mark.slow
 def test_the_verdict_is_said_first_and_in_words(calibration):
     passed = render_report(ReportContent("T", calibration, verification_of(calibration, 1e-4)))
     failed = render_report(ReportContent("T", calibration, verification_of(calibration, 5e-4)))
@@ -76,12 +77,14 @@ def test_the_verdict_is_said_first_and_in_words(calibration):
     assert "2 verification points that were planned are missing" in missing
 
 
+@pytest.mark.slow
 def test_without_verification_points_nothing_is_claimed(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     assert "Not verified" in text
     assert "neither passed nor failed" in text
 
 
+@pytest.mark.slow
 def test_what_a_user_wrote_cannot_become_markup(calibration):
     content = ReportContent("<b>T</b>", calibration, provenance={"operator": "<script>alert(1)</script>"})
     page = render_report(content)
@@ -90,6 +93,7 @@ def test_what_a_user_wrote_cannot_become_markup(calibration):
     assert "<b>T</b>" in Text(page).text
 
 
+@pytest.mark.slow
 def test_the_page_stands_alone_and_is_the_same_each_time(calibration):
     content = ReportContent("T", calibration, verification_of(calibration), compared=None, simulated=True)
     page = render_report(content)
@@ -110,6 +114,7 @@ def test_every_reading_is_in_the_residual_plots(calibration):
     assert len(re.findall(r"<use ", drawing)) >= 3 * len(calibration.fitted)
 
 
+@pytest.mark.slow
 def test_what_the_data_do_not_tell_is_marked(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     assert "no better known than before" in text  # alpha2: held by its limits alone
@@ -117,6 +122,7 @@ def test_what_the_data_do_not_tell_is_marked(calibration):
     assert "−10.4 µV/g" in text
 
 
+@pytest.mark.slow
 def test_other_units_and_notes(calibration):
     content = ReportContent(
         "T", replace(calibration, unit="counts"), notes=("run unfinished",), skipped=("line 4",)
@@ -127,6 +133,7 @@ def test_other_units_and_notes(calibration):
     assert "line 4" in text
 
 
+@pytest.mark.slow
 def test_the_comparison_with_another_estimator_is_shown(calibration):
     other = calibrate(calibration.fitted, MODEL, STAND_U, 9.81, "closed-form")
     page = render_report(ReportContent("T", calibration, compared=other))
@@ -136,6 +143,7 @@ def test_the_comparison_with_another_estimator_is_shown(calibration):
     )
 
 
+@pytest.mark.slow
 def test_it_is_written_as_utf8(calibration, tmp_path):
     write_report(ReportContent("Блок 17", calibration), tmp_path / "r.html")
     assert "Блок 17" in (tmp_path / "r.html").read_text(encoding="utf-8")

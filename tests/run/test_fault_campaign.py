@@ -81,6 +81,7 @@ def log(benches: dict[str, Stand], runs: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_a_meter_that_measures_when_another_failed_is_waited_for(
     benches: dict[str, Stand], runs: Path, log: Path
 ) -> None:
@@ -98,6 +99,7 @@ def test_a_meter_switched_off_while_it_is_set_up_is_set_up_again(
     assert tried(benches["paper-stand"], runs, f"set-up-{at}", fault).completed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [8, 15, 21])
 def test_errors_of_an_exchange_that_failed_do_not_spoil_the_next(
     benches: dict[str, Stand], runs: Path, at: int

@@ -40,6 +40,7 @@ def readings(tmp_path):
     return tmp_path / "r.csv"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("a_further_one")
 def test_every_command_takes_every_estimator_by_each_of_its_names(bench, readings):
     for estimator in ESTIMATORS.values():

@@ -184,6 +184,7 @@ def test_a_model_of_another_block_is_told_and_the_page_is_written(bench):
     assert "voltmeter_gain" in found["hidden"]
 
 
+@pytest.mark.slow
 def test_rows_that_were_left_out_are_named_for_each_of_several(bench):
     text = Path(measured("a.csv")).read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)

@@ -37,6 +37,7 @@ def test_an_effect_of_20_is_found_and_the_truth_is_in_the_set():
         assert diagnosis["gap"]["after"] < diagnosis["gap"]["before"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(MISTAKES))
 def test_every_mistake_is_found_by_its_name(kind):
     marks = judged(Row(f"mistake:{kind}"), 0)[2]

@@ -12,8 +12,7 @@ import pytest
 import yaml
 
 from bench.base.forms import FileMistakes
-from bench.cli.options import DEVICES
-from bench.devices.registry import FOLDERS, _loaded, devices
+from bench.devices.registry import _loaded, devices
 from bench.files.bench.file import foreign_drivers, load_bench, load_recorded_bench
 from bench.files.shipped import find_bench
 from bench.run.folder import Run
@@ -70,10 +69,6 @@ def own_bench(tmp_path, driver="my-meter"):
     path = tmp_path / "own.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     return path
-
-
-def test_the_name_of_the_environment_is_one():
-    assert DEVICES == FOLDERS == "BENCH_DEVICES"
 
 
 def test_a_folder_brings_an_instrument(mine, tmp_path):
@@ -176,6 +171,7 @@ def test_an_installed_distribution_brings_an_instrument(folder, tmp_path, monkey
             del sys.modules[name]
 
 
+@pytest.mark.slow
 def test_a_recorded_run_is_evaluated_without_it_and_resuming_says_what_is_missing(
     mine, bench, tmp_path, monkeypatch
 ):
