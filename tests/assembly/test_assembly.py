@@ -107,6 +107,7 @@ def test_places_behind_an_adapter_are_those_that_the_driver_understands(resource
 # --- drivers and simulations ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes", "identities"),
     [

@@ -70,6 +70,7 @@ def test_a_dry_run_ends_with_coefficients_a_verdict_and_a_report(bench):
     assert Run(folder).history.problems == ()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_run_and_another_seed_another(bench):
     Path("two.yaml").write_text(TWO_INSTALLATIONS, encoding="utf-8")
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
@@ -185,6 +186,7 @@ def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
     assert k2["unit"] == "ug/g^2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -207,6 +209,7 @@ def test_every_mistake_is_one_clear_line(bench, arguments, says):
     assert out == ""
 
 
+@pytest.mark.slow
 def test_a_bad_readings_file_lists_its_rows_and_computes_nothing(bench, paper_run):
     bench("export", "run", "--csv", "r.csv")
     lines = Path("r.csv").read_text().splitlines()

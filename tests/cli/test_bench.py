@@ -148,6 +148,7 @@ def overload(request, reply):
     return WireFault(raw=b"+9.90000000E+37,+9.90000000E+37\n") if request.startswith(b"FETC") else None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "says"), [(cut, "voltmeter.y"), (drop, "voltmeter.y"), (overload, "overload")]
 )

@@ -8,6 +8,8 @@ import pytest
 
 from bench.run.folder import Run
 
+pytestmark = pytest.mark.slow
+
 RECORDS = Path(__file__).parents[1] / "data" / "records"
 
 

@@ -13,6 +13,7 @@ from bench.procedure.check import check as check_against
 from bench.procedure.load import load_procedure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stand", ["paper-stand", "bench-motorised", "bench-rate-table"])
 def test_the_file_that_is_written_is_a_procedure_of_the_bench(bench, stand):
     out = Path("short.yaml")
@@ -87,6 +88,7 @@ def test_the_third_mounting_angle_wants_a_further_installation(bench):
     assert set(json.loads(out)["mountings"]) & {"1T90", "2T90"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -127,6 +127,7 @@ def test_the_limits_that_are_printed_keep_to_the_accuracy_in_a_bench_file(bench)
     assert 0.99 * 3e-4 < found["reached"] <= 3e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -19,6 +19,7 @@ def still(path, noise=1e-4, n=2000):
     return path
 
 
+@pytest.mark.slow
 def test_the_real_record_is_analysed_written_and_drawn(bench, tmp_path):
     status, out, err = bench("stability", DATA / "ln100-up.csv", "--out", tmp_path, "--json", "found.json")
     assert (status, err) == (0, "")
@@ -50,6 +51,7 @@ def test_a_size_that_is_not_reached_is_not_accepted(bench, tmp_path):
     assert "the size asked for is not reached" in out
 
 
+@pytest.mark.slow
 def test_samples_that_integrate_a_part_of_the_time_shorten_the_reading(bench, tmp_path):
     path = still(tmp_path / "still.csv")
     assert bench("stability", path, "--size", "2e-5", "--json", "all.json")[0] == 0
@@ -93,6 +95,7 @@ steps:
 """
 
 
+@pytest.mark.slow
 def test_a_run_at_one_setting_is_a_record_and_knows_how_long_it_integrated(bench, tmp_path):
     (tmp_path / "short.yaml").write_text(PROCEDURE)
     bench("run", "short.yaml", "--dry-run", "--name", "short")

@@ -51,6 +51,7 @@ def test_json_on_standard_output_is_json_alone(bench, readings):
     assert "Temperature model" in err
 
 
+@pytest.mark.slow
 def test_a_curve_that_is_no_polynomial_is_told_and_not_accepted_when_strict(bench, polynomials, tmp_path):
     """A hysteresis that is there at one temperature only."""
     table = simulate(np.random.default_rng([SEED, 2]), polynomials)

@@ -53,6 +53,7 @@ def test_a_run_that_stopped_before_its_last_points_is_not_verified(bench, monkey
     assert "20 of 22 planned readings" in Path("runs/part/report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_coefficients_of_another_place_are_compared_with_the_gravity_here(bench, measured):
     """A block calibrated where g is 9.81 m/s² measures 9.7803/9.81 of that at the equator; closed form."""
     bench("calibrate", "good", "--g", "9.81", "--json", "c.json")
@@ -104,6 +105,7 @@ def test_the_bench_file_of_the_run_is_used_unless_another_is_typed(bench, measur
     assert bench("calibrate", "good", "--bench", "bench-gpib")[0] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("manifest", ["{bad", "[]", '{"created": 5, "files": 3}', '{"imported": "x"}'])
 def test_one_damaged_run_does_not_hide_the_others(bench, measured, manifest):
     Path("runs/broken").mkdir()

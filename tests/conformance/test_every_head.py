@@ -13,6 +13,7 @@ from tests.support.instrument_stand import known, standing
 heads = pytest.mark.parametrize("device", known("head"), ids=lambda device: device.name)
 
 
+@pytest.mark.slow
 @heads
 @pytest.mark.parametrize(("target_deg", "direction"), [(90.0, 1), (90.0, -1), (0.25, 1), (270.0, -1)])
 def test_it_turns_the_shaft_to_the_angle_from_the_side_that_was_demanded(

@@ -75,6 +75,7 @@ def test_a_bench_with_it_is_checked_and_runs_dry(bench, tmp_path, monkeypatch, d
     assert np.isfinite(signal).all()
 
 
+@pytest.mark.slow
 @wired
 def test_the_simulation_is_served_and_looked_at_live(bench, tmp_path, device):
     data = bench_data(device)

@@ -90,6 +90,7 @@ def test_installations_are_the_same_on_every_bench():
             assert np.array_equal(installation.block_from_platform, models[0][label].block_from_platform)
 
 
+@pytest.mark.slow
 def test_the_wire_does_not_show_in_the_readings(bench, without_drawing):
     """Three 34401A over GPIB, a GPIB adapter and serial ports: the same seed, the same world, the same values."""
     told = []

@@ -119,6 +119,7 @@ HIDDEN = {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity"}
 """Effects that are the same as other scale factors and biases, whatever the run."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_fit_returns_the_truth_where_the_run_determines_it(name):
     """Without noise; the unknowns of `make_problem` by repeated linear least squares, from zero."""

@@ -89,6 +89,7 @@ def walked(labels, angle, direction, width_g, psi):
     return np.array(result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width_g", [0.1, 0.5])
 def test_play_is_that_of_an_operator_driven_in_small_steps(width_g):
     """Random settings and directions, seed 11; all axes feel gravity; a step changes the force by 0.00035 g."""

@@ -33,6 +33,7 @@ def bench_with_turned_installations(path, tmp_path):
     return load_bench(tmp_path / path.name)
 
 
+@pytest.mark.slow
 def test_every_shipped_procedure_runs_on_every_shipped_bench(tmp_path):
     for bench_path in find_bench("paper-stand").parent.glob("*.yaml"):
         bench = bench_with_turned_installations(bench_path, tmp_path)

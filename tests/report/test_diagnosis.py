@@ -16,6 +16,8 @@ from bench.readings.csv import write_csv
 from bench.report.diagnosis.words import effect_title, parameters_in_words, smallest_found, unit_in_print
 from tests.support.diagnosis_bench import paper_run
 
+pytestmark = pytest.mark.slow
+
 
 def page_of(folder, seed, **hidden):
     """Diagnose readings of the independent simulation; return the result and the page."""
@@ -103,7 +105,6 @@ def test_the_smallest_size_that_shows_is_about_that_of_the_noise(agrees):
     assert 5 < float(sizes["quadratic_nonlinearity"].split()[0]) < 60
 
 
-@pytest.mark.slow
 def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path):
     table = paper_run(np.random.default_rng(3), directions=(1, -1, 1))
     write_csv(table, tmp_path / "r.csv")

@@ -55,6 +55,7 @@ def verification_of(calibration, delta_g=0.0, missing=0):
     return verify(rows, calibration.block, calibration.covariance, calibration.noise.reading, 3e-4)
 
 
+@pytest.mark.slow
 def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     for name, value, u in zip(COEFFICIENTS, calibration.block.vector, calibration.u, strict=True):
@@ -106,6 +107,7 @@ def test_the_page_stands_alone_and_is_the_same_each_time(calibration):
     assert "SIMULATED" not in render_report(replace(content, simulated=False))
 
 
+@pytest.mark.slow
 def test_every_reading_is_in_the_residual_plots(calibration):
     """54 readings of three channels, each drawn once against the angle: a marker is a <use> in the drawing."""
     from bench.report.plots import residuals_by_angle
@@ -157,6 +159,7 @@ def test_numbers_are_rounded_as_the_guide_says():
     assert scale_for(9.8e-5, "V").unit == "µV"
 
 
+@pytest.mark.slow
 def test_free_positions_alone_have_no_stand_and_no_block_that_nobody_named(bench, tmp_path):
     """The page of readings without a bench file does not name the block of the shipped one."""
     file = Path(__file__).parents[1] / "data" / "xsens-38.csv"

@@ -14,6 +14,8 @@ import pytest
 from benchmarks import fault_campaign, fault_trials
 from sim.wires.faults import Fault, FaultKind
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from benchmarks.fault_trials import Outcome, Stand
 
@@ -46,7 +48,6 @@ def tried(stand: Stand, runs: Path, name: str, *faults: Fault) -> Outcome:
     return outcome
 
 
-@pytest.mark.slow
 def test_a_short_campaign_has_no_violation(tmp_path_factory: pytest.TempPathFactory) -> None:
     runs = tmp_path_factory.mktemp("short")
     trials = fault_campaign.draw(FAULTS, SEED, fault_trials.stands(runs, BENCHES, SHORT))
@@ -81,7 +82,6 @@ def log(benches: dict[str, Stand], runs: Path) -> Path:
     return file
 
 
-@pytest.mark.slow
 def test_a_meter_that_measures_when_another_failed_is_waited_for(
     benches: dict[str, Stand], runs: Path, log: Path
 ) -> None:
@@ -99,7 +99,6 @@ def test_a_meter_switched_off_while_it_is_set_up_is_set_up_again(
     assert tried(benches["paper-stand"], runs, f"set-up-{at}", fault).completed
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("at", [8, 15, 21])
 def test_errors_of_an_exchange_that_failed_do_not_spoil_the_next(
     benches: dict[str, Stand], runs: Path, at: int

@@ -19,6 +19,7 @@ LIKE_FOUR_SIGMA = 4 / np.sqrt(2 * TRIALS)
 """A standard deviation from so many trials: four standard errors, 2 %."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["closed-form", "gls"])
 def test_agrees_with_the_linear_budget(estimator):
     found = exact_monte_carlo(make_budget(paper_setup(), stand(), estimator), TRIALS, seed=1)

@@ -40,6 +40,7 @@ def test_the_spread_is_the_stated_uncertainty(level):
     assert np.all((z > 0.95 - STATISTICS) & (z < 1.05 + STATISTICS)), z.round(3)
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_next_to_the_least_possible(level):
     """u over the Cramer-Rao bound with known sizes of the noise; that they are estimates costs 1.4 %."""
     _, batch, bound = level

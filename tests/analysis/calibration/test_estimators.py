@@ -86,6 +86,7 @@ def test_the_robust_estimator_has_the_map_of_generalised_least_squares_from_clea
     assert not np.array_equal(struck.covariance, plain.covariance)
 
 
+@pytest.mark.slow
 def test_the_one_that_commands_take_unasked_is_listed_first(bench, readings):
     assert next(iter(ESTIMATORS)) == GLS
     for command in commands(readings):

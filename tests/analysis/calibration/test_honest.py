@@ -12,6 +12,8 @@ from scipy import stats
 from tests.support.honest_runs import run
 from tests.support.paper_bench import SETTING_U_RAD
 
+pytestmark = pytest.mark.slow
+
 RUNS = 300
 SEEDS = {1e-4: 2024, 2e-5: 2025}
 # each bound fails a true 1 with probability 2e-5: 24 of them, 1 in 2000 for all together
@@ -23,7 +25,6 @@ def level(request):
     return request.param, run(SEEDS[request.param], range(RUNS), request.param)
 
 
-@pytest.mark.slow
 def test_errors_are_as_large_as_their_stated_uncertainty(level):
     """Promised: 0.95 to 1.05 for every coefficient, here widened by what 300 runs can tell (chi-square)."""
     _, runs = level
@@ -69,7 +70,6 @@ def test_p_of_lack_of_fit_is_uniform_when_the_model_is_true(level):
         assert low <= np.sum(runs.p < fraction) <= high, fraction
 
 
-@pytest.mark.slow
 def test_one_pass_is_honest():
     """No repeats: few residuals tell the sizes of the noise, and u has to be wide enough for that.
 

@@ -39,6 +39,7 @@ def test_efficiency_on_clean_data(clean):
     assert np.all(efficiency > 0.95), efficiency.round(3)
 
 
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_they_should_be(clean):
     """The level is 1 % for a whole table, all looks together; binomial bound 1e-4. So for the default's note."""
     most = stats.binom.ppf(1 - 1e-4, RUNS, 0.01)

@@ -57,6 +57,7 @@ def test_a_quadratic_term_is_named_added_and_closes_the_gap():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is():
     found = examine(paper_run(np.random.default_rng(22)))
     assert found.verdict == "agrees"

@@ -117,6 +117,7 @@ def test_a_hole_in_a_signal_is_refused(hole):
         allan_curve(np.append(noise(WHITE, 100), hole), 1.0)
 
 
+@pytest.mark.slow
 def test_a_bench_finds_the_deviation_without_the_tools_of_tests():
     program = (
         "import sys\n"

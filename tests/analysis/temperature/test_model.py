@@ -40,6 +40,7 @@ def test_the_uncertainty_is_honest_over_the_whole_range():
     assert 0.75 - 4 * np.sqrt(2 / values) < z2.mean() < 1.1 + 4 * np.sqrt(2 / values)
 
 
+@pytest.mark.slow
 def test_no_lack_of_fit_and_no_hysteresis_is_found_where_there_is_none():
     """24 tests; one below 0.001 has a chance of 2 %."""
     assert several()[1].min() > 0.001

@@ -46,6 +46,7 @@ def dense_rho(design: str, change: np.ndarray, noise_v: float, setting: float) -
     return float(np.sqrt(left @ weight @ left))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "row",
     [

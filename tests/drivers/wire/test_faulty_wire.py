@@ -117,6 +117,7 @@ def test_a_head_is_where_it_says_or_says_why_not(kind: str) -> None:
     assert all(re.fullmatch(r"head: [^\n]+; [^\n]+", message) for message in messages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CHAMBERS)
 def test_a_chamber_has_the_temperature_it_says_or_says_why_not(kind: str) -> None:
     world = a_world()

@@ -125,6 +125,7 @@ def said(file: Path) -> list[str]:
     return [line.split(" ", 1)[1] for line in lines if " < " not in line]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", USES)
 @pytest.mark.parametrize("fault_probability", [0.0, 0.2])
 def test_a_session_gives_the_same_again_faults_and_all(

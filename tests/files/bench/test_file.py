@@ -217,6 +217,7 @@ effects:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "text"),
     [

@@ -52,6 +52,7 @@ def test_what_the_meter_has_not_is_refused(tmp_path, wrong, told):
         load_bench(with_one(tmp_path, **{**SERIAL, **wrong}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminator", ["cr", "lfcr"])
 def test_it_reads_over_a_serial_line_with_other_ends(bench, tmp_path, monkeypatch, terminator):
     monkeypatch.setattr("bench.report.render_report", lambda _content: "")

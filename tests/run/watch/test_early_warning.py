@@ -123,6 +123,7 @@ def test_swapped_channels_are_seen_by_point_3_and_named(order, cause, seed):
     assert len(third.causes) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("channel", "seen"), [("x", 2), ("y", 28), ("z", 1)])
 def test_a_reversed_channel_is_seen_where_it_first_feels_gravity(channel, seen):
     signs = watch(run_of(3, wired=channels([0, 1, 2], [-1 if c == channel else 1 for c in "xyz"])))
@@ -138,6 +139,7 @@ def test_a_head_that_counts_the_other_way_is_named_with_what_looks_the_same():
     assert set(signs[1][1].causes) == {"the head counts the other way", "channel x is reversed"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stated", "actual", "by"), [("1", "2", 3), ("2", "1", 29), ("V", "1", 55), ("2", "V", 29)]
 )
@@ -158,6 +160,7 @@ def test_a_mount_that_slips_between_passes_is_seen_at_once_and_told_until_it_is_
     assert "pass 2, point 1" in second.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("number", [6, 14, 32, 41])
 @pytest.mark.parametrize(("name", "off_deg"), [("1°", 1.0), ("1°", -1.0), ("10′", 1 / 6), ("10°", -10.0)])
@@ -232,6 +235,7 @@ def test_a_mount_that_the_rows_do_not_show_can_be_told():
     assert not watch(rows[9:], watcher)
 
 
+@pytest.mark.slow
 def test_temperature_may_change_the_block_by_what_is_plausible():
     """40 K: 4 mV of bias and 0.4 % of scale factor, in a second series."""
     cold = run_of(1)
