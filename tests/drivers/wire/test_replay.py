@@ -20,15 +20,7 @@ from drivers.interfaces import BadReading, BenchError, InstrumentLost, Voltmeter
 from drivers.keysight_34461a.driver import Keysight34461A
 from drivers.motion import Travel
 from drivers.wire.log import WireLog
-from drivers.wire.replay import (
-    Deviation,
-    Replay,
-    WireLogError,
-    exchanges,
-    main,
-    read_log,
-    replayed,
-)
+from drivers.wire.replay import Deviation, Replay, WireLogError, exchanges, main, read_log, replayed
 from drivers.wire.visa import MessageSession
 from drivers.zaber.driver import ZaberHead
 from sim.agilent_34401a.meter import Agilent34401A as SimulatedMeter
