@@ -17,7 +17,7 @@ class Progress:
 
     `temperature_c` is the last one on record, `identities` those of the instruments; `remounts` gives the
     series that readings of a (series, installation) have since the block was taken off and mounted again in
-    the middle of it.
+    the middle of it. `doubt` is an early sign that stopped the run and is not answered yet.
     """
 
     done: set[int] = field(default_factory=set)
@@ -27,6 +27,7 @@ class Progress:
     temperature_c: float | None = None
     identities: dict[str, str] = field(default_factory=dict)
     remounts: dict[tuple[int, str], int] = field(default_factory=dict)
+    doubt: Event | None = None
 
     @classmethod
     def of(cls, history: History) -> Progress:
@@ -49,7 +50,13 @@ class Progress:
             case EventType.REMOUNTED:
                 place = (int(event.data["series"]), str(event.data["installation"]))
                 self.remounts[place] = int(event.data["now_series"])
+            case EventType.EARLY_SIGN:
+                if event.data.get("confident"):
+                    self.doubt = event
+            case EventType.WENT_ON:
+                self.doubt = None
             case EventType.REDO:
+                self.doubt = None
                 self.done.difference_update(event.steps)
                 self.skipped.difference_update(event.steps)
                 self.redone.update(event.steps)

@@ -1,0 +1,45 @@
+"""Stands between a run and its early warning: tells it what is taken again, mounted anew, gone on with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bench.readings.reading import Reading
+from bench.run.events import Event, EventType, Mounted
+from bench.run.watch.early_warning import EarlyWarning, Place
+from bench.run.watch.sign import EarlySign
+
+
+class Watcher:
+    """An observer of a run that keeps its early warning up to date; a resumed run's events are told it again."""
+
+    def __init__(self, warning: EarlyWarning) -> None:
+        self._warning = warning
+        self._places: dict[int, Place] = {}
+
+    def observe(self, event: Event) -> None:
+        """Take note of an event of the run."""
+        match event.type:
+            case EventType.STEP_DONE:
+                if isinstance(result := event.result, Reading):
+                    self._places[event.step] = result.place
+                elif isinstance(result, Mounted):
+                    self._warning.remounted()
+            case EventType.REMOUNTED:
+                self._warning.remounted()
+            case EventType.REDO:
+                again = [self._places.pop(step) for step in event.steps if step in self._places]
+                self._warning.strike(again)
+            case EventType.WENT_ON:
+                self._warning.went_on()
+
+    def take(self, reading: Reading) -> Sequence[EarlySign]:
+        """Judge a reading; return what is to be told of it."""
+        return self._warning.take(reading)
+
+    def recall(self, events: Sequence[Event]) -> None:
+        """Go through the events of a run that is taken up again."""
+        for event in events:
+            self.observe(event)
+            if (reading := event.reading) is not None:
+                self._warning.take(reading)
