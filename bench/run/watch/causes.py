@@ -20,6 +20,8 @@ from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judg
 from bench.run.watch.suppositions import (
     CABLED,
     CABLINGS,
+    FREE,
+    SAT_RIGHT,
     UNLIKELY,
     Elsewhere,
     Kind,
@@ -56,7 +58,8 @@ class Sighting:
     model could not yet have seen a mistake in it; `struck`: known to be wrong, or taken again.
     `poses` are as recorded, with the head's sense reversed, and in each of the other installations.
     `sat_before` is the installation of the mounting before, `last_rad` where the head stood at the reading
-    before on this mounting, `next_rad` where it goes next, None where there is none.
+    before on this mounting, `pivot_rad` at the last that fitted, `next_rad` where it goes next, None where there
+    is none.
     """
 
     place: str
@@ -68,6 +71,7 @@ class Sighting:
     reading_place: tuple[int, str, int, int] = (0, "", 0, 0)
     sat_before: str | None = None
     last_rad: float | None = None
+    pivot_rad: float | None = None
     next_rad: float | None = None
     taken: bool = False
     poorly_known: bool = False
@@ -150,8 +154,12 @@ class Inquiry:
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """The block in another installation, or the head elsewhere than its scale was read."""
         label, angle = sighting.installation, sighting.angle_rad
-        supposed = [Elsewhere(sat, at) for at, sat in self._others(sighting, few=True).items()]
-        supposed += head_elsewhere(label, angle, sighting.last_rad, sighting.next_rad)
+        unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
+        supposed = [
+            Elsewhere(replace(sat, unlikely=sat.unlikely + unlikely), at)
+            for at, sat in self._others(sighting, few=True).items()
+        ]
+        supposed += head_elsewhere(label, angle, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
         labels = [one.label for one in supposed]
         angles = angle + np.array([one.off_rad for one in supposed])
         pose = poses(self.model, self.nominal, sighting.row, labels, angles)
@@ -224,6 +232,7 @@ class Inquiry:
             Supposed("", Kind.EARLIER),
             *CABLED,
             Supposed("the head counts the other way", Kind.ROTATION),
+            Supposed("the head was turned the wrong way since the block was mounted", Kind.ROTATION),
             *others.values(),
             *(
                 Supposed(f"{history[k].place} was wrong", Kind.EARLIER, UNLIKELY[Kind.EARLIER])
@@ -236,8 +245,9 @@ class Inquiry:
         pose = np.zeros((len(history), members), dtype=np.int64)
         rotation = 1 + len(CABLINGS)
         pose[:, rotation] = 1
+        pose[mounted:, rotation + 1] = 1
         for number in range(len(others)):
-            pose[mounted:, rotation + 1 + number] = 2 + number
+            pose[mounted:, rotation + 2 + number] = 2 + number
         absent = np.zeros((len(history), members), dtype=bool)
         for member, k in enumerate(left_out, start=members - len(left_out)):
             absent[k, member] = True
@@ -246,7 +256,7 @@ class Inquiry:
         return [
             Suspect(one.text, one.kind, float(replay.cost[j]) + one.unlikely, earlier=earlier[j], member=j)
             for j, one in enumerate(supposed)
-            if j and replay.taken[-1, j]
+            if j and replay.taken[-1, j] and (mounted or j != rotation + 1)
         ], replay
 
     def replay(
@@ -298,10 +308,16 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 
 
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return the suspects that the readings cannot tell from the likeliest one, each text once."""
+    """Return the suspects that the readings cannot tell from the likeliest one, each text once.
+
+    Beside one of a certain size a shift of whatever size fits is none.
+    """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
-    best = min((s.cost for s in ranked.values()), default=0.0)
-    return sorted((s for s in ranked.values() if s.cost - best < TIE), key=lambda s: s.cost)
+    best = min(ranked.values(), key=lambda s: s.cost, default=None)
+    if best is None:
+        return []
+    rivals = (s for s in ranked.values() if best.kind in FREE or s.kind not in FREE)
+    return sorted((s for s in rivals if s.cost - best.cost < TIE), key=lambda s: s.cost)
 
 
 def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:

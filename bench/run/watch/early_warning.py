@@ -12,6 +12,7 @@ that is taken for noise, since they cover errors that repeats do not show; repea
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -143,6 +144,15 @@ class EarlyWarning:
         if self._history:
             self._confidence.went_on(self._history[-1])
 
+    def foresee(self, reading: Reading) -> Judgement:
+        """Hold a reading against what is expected of it without taking it: what a mistake in it would show."""
+        ahead = copy.deepcopy(self)
+        sighting = ahead._sight(reading)
+        if sighting.new_mount:
+            ahead._state.remount(ahead._stand_u)
+        ahead._state.loosen(sighting.loosened)
+        return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
+
     def take(self, reading: Reading) -> list[EarlySign]:
         """Judge a reading and learn from it; return what is to be told.
 
@@ -198,6 +208,7 @@ class EarlyWarning:
             ),
             sat_before=self._sat_before(conditions.mounts[0].installation, new_mount),
             last_rad=None if new_mount or before is None else before.angle_rad,
+            pivot_rad=None if new_mount else self._pivot_rad(),
             next_rad=self._following.get(reading.place),
             reading_place=reading.place,
         )
@@ -212,6 +223,15 @@ class EarlyWarning:
         if not new_mount or last.installation == label:
             return last.sat_before
         return last.installation
+
+    def _pivot_rad(self) -> float | None:
+        """Return the angle of the last reading that fitted on the mounting that lasts."""
+        for sighting in reversed(self._history):
+            if sighting.taken and not sighting.struck:
+                return sighting.angle_rad
+            if sighting.new_mount:
+                break
+        return None
 
     def _changes(self, time_s: float, temperature_c: float, new_mount: bool) -> Floats:
         """Variances (12,) by which the coefficients may have changed since the last reading."""

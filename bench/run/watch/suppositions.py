@@ -41,11 +41,17 @@ class Kind(StrEnum):
 LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
 """Mistakes that stay until they are mended; the others are those of one reading."""
 
-UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 8.0, Kind.SLIP: 2.0, Kind.EARLIER: 2.0}
+FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
+"""Shifts of whatever size fits: no rivals of a mistake of one certain size that fits better."""
+
+UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 8.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
 """What a kind costs beforehand (-2 ln of its odds against the plainest ones)."""
 
 OTHER_INSTALLATION: Final = 4.0
 """What an installation costs beforehand in which the block did not sit before."""
+
+SAT_RIGHT: Final = 12.0
+"""What it costs that a block sits otherwise for one reading, after others of its mounting fitted."""
 
 SAME_RAD: Final = float(np.radians(0.5))
 """Angles nearer than this are one supposition."""
@@ -82,7 +88,13 @@ def _said(wiring: Wiring) -> str:
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
 """What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
 
-CABLED: Final = tuple(Supposed(text, Kind.CABLING) for text in CABLINGS)
+EXCHANGED_IN_TURN: Final = 4.0
+"""What it costs beforehand that all three cables are wrong, which looks like a block that sits otherwise."""
+
+CABLED: Final = tuple(
+    Supposed(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
+    for wiring in (*EXCHANGED, *REVERSED)
+)
 
 
 def other_installation(actual: str, stated: str, before: str | None) -> Supposed:
@@ -114,17 +126,20 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
 
 
 def head_elsewhere(
-    label: str, angle_rad: float, last_rad: float | None, next_rad: float | None
+    label: str, angle_rad: float, last_rad: float | None, next_rad: float | None, pivot_rad: float | None
 ) -> list[Elsewhere]:
     """Suppose that the head stood elsewhere than its scale was read.
 
-    `last_rad` is the angle at the point before on the same mounting, `next_rad` that of the point to come.
+    `last_rad` is the angle at the point before on the same mounting, `next_rad` that of the point to come,
+    `pivot_rad` that of the last point that fitted: from there the head may have been turned the wrong way.
     """
     found: list[Elsewhere] = []
 
     def add(text: str, kind: Kind, off_rad: float) -> None:
         off_rad = wrapped_rad(off_rad)
-        if abs(off_rad) > 1e-6 and all(abs(wrapped_rad(one.off_rad - off_rad)) > SAME_RAD for one in found):
+        if abs(off_rad) > SAME_RAD and all(
+            abs(wrapped_rad(one.off_rad - off_rad)) > SAME_RAD for one in found
+        ):
             supposed = Supposed(text, kind, UNLIKELY.get(kind, 0.0))
             found.append(Elsewhere(supposed, label, off_rad))
 
@@ -138,8 +153,8 @@ def head_elsewhere(
         text = f"the head was turned to the next point: it stood at {format_dms(next_rad)}"
         add(text, Kind.NEXT_POINT, next_rad - angle_rad)
     reflected = float(reflected_rad(np.asarray(angle_rad)))
-    if last_rad is not None:
-        stood = 2 * last_rad - angle_rad
+    if pivot_rad is not None:
+        stood = 2 * pivot_rad - angle_rad
         also = ", or 360° - x was read for x" if abs(wrapped_rad(stood + angle_rad)) < SAME_RAD else ""
         text = f"the head was turned the wrong way{also}: it stood at {format_dms(stood % (2 * np.pi))}"
         add(text, Kind.WRONG_WAY, stood - angle_rad)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from bench.readings.reading import Reading
 from bench.run.events import Event, EventType, Mounted
 from bench.run.watch.early_warning import EarlyWarning, Place
+from bench.run.watch.expectation import Judgement
 from bench.run.watch.sign import EarlySign
 
 
@@ -43,3 +44,7 @@ class Watcher:
             self.observe(event)
             if (reading := event.reading) is not None:
                 self._warning.take(reading)
+
+    def foresee(self, reading: Reading) -> Judgement:
+        """Hold a reading against what is expected of it without taking it."""
+        return self._warning.foresee(reading)
