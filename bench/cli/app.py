@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from bench.api.errors import Refused
+from bench.base.visible import visible
 from bench.cli.options import app
 
 DONE, NOT_DONE = 0, 2
@@ -86,5 +87,5 @@ def expected(error: Exception) -> bool:
 
 
 def _fail(text: str) -> int:
-    print(f"bench: {text}", file=sys.stderr)
+    print(f"bench: {visible(text)}", file=sys.stderr)
     return NOT_DONE

@@ -19,6 +19,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, TypedDict, cast
 
+from bench.base.visible import in_json
 from bench.readings.reading import Reading
 from bench.run.events import Event
 from bench.run.states import RunState, state_after
@@ -145,7 +146,7 @@ class Record:
             **manifest,
             "files": {name: sha256(content) for name, content in inputs.items()},
         }
-        text = json.dumps(manifest, indent=1, ensure_ascii=False).encode()
+        text = in_json(json.dumps(manifest, indent=1, ensure_ascii=False)).encode()
         try:
             _make_folder(folder, {**inputs, MANIFEST: text})
         except OSError as error:
@@ -183,7 +184,7 @@ class Record:
     def _append(self, kind: str, bench_s: float, data: dict[str, Any]) -> Event:
         event = Event(self._count + 1, self._now().isoformat(), bench_s, kind, data)
         whole_event = {**event.to_json(), "prev": self._last_hash}
-        line = json.dumps(whole_event, ensure_ascii=False, allow_nan=False).encode()
+        line = in_json(json.dumps(whole_event, ensure_ascii=False, allow_nan=False)).encode()
         whole = self._file.tell()
         try:
             self._write(line + b"\n")
@@ -269,7 +270,7 @@ def read_manifest(folder: Path) -> Manifest:
         manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except OSError:
         raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
         raise RecordError(f"{folder / MANIFEST}: damaged, not a manifest; take it from a copy of the run")
@@ -314,5 +315,5 @@ def _parse(content: bytes) -> Iterator[tuple[int, bytes, Event | None, str]]:
             data = json.loads(line)
             previous = str(data.pop("prev"))
             yield number, line, Event.from_json(data), previous
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             yield number, line, None, ""
