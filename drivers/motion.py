@@ -142,9 +142,11 @@ class Mover:
             if direction * (from_rad - start_rad) < -self._travel.tolerance_rad:
                 start_rad = self._go(start_rad, from_rad, settle_s=0.0)
             return HeadPosition(self._go(start_rad, target_rad, self._travel.settle_s), direction)
-        except BaseException:
-            with contextlib.suppress(Exception):
+        except BaseException as error:
+            try:
                 self._axis.stop()
+            except Exception:
+                error.add_note(f"{self._name}: its stop is not confirmed: see that it stands")
             raise
 
     def wait_while(self, busy: Callable[[], bool], limit_s: float) -> None:

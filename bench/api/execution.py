@@ -30,11 +30,14 @@ from bench.run.log import RunLog
 from bench.run.record import History, Manifest, Record, RecordError, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner, Watch
+from bench.run.signals import Interrupts
 from bench.run.states import ENDED
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.watch.early_warning import EarlyWarning
+from bench.run.way_out import with_notes
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
+from drivers.wire.haste import Haste
 from drivers.wire.log import WireLog
 
 
@@ -158,8 +161,19 @@ def _waits(run: Run) -> bool:
     return waits and not is_being_written(run.folder)
 
 
-def carry_out(run: Run, record: Record, history: History | None, wire: WireLog | None, out: Console) -> None:
-    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed."""
+def carry_out(
+    run: Run,
+    record: Record,
+    history: History | None,
+    wire: WireLog | None,
+    out: Console,
+    interrupts: Interrupts | None = None,
+) -> None:
+    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed.
+
+    `interrupts` hears the signals meanwhile.
+    """
+    signals = interrupts or Interrupts()
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
@@ -172,7 +186,7 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
     )
     out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
-        with _assembly(run, bench, history, wire, out) as (assembly, bar):
+        with _assembly(run, bench, history, wire, out, signals.haste) as (assembly, bar):
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -191,20 +205,23 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
                 ),
                 least_samples=bench.least_samples,
                 on_settling=bar.settling,
+                hold_signals=signals.hold,
             ).run(resume)
     except RunAborted as why:
-        raise Refused(f"aborted{': ' if str(why) else ''}{why}; {_recorded(run)}") from None
-    except KeyboardInterrupt:
-        raise Refused(f"interrupted; {_kept(run)}") from None
+        raise Refused(f"aborted{': ' if str(why) else ''}{with_notes(why)}; {_recorded(run)}") from None
+    except KeyboardInterrupt as stop:
+        raise Refused(
+            f"interrupted; {with_notes(stop)}{'; ' if with_notes(stop) else ''}{_kept(run)}"
+        ) from None
     except (BenchError, RecordError) as error:
-        raise Refused(f"{error}; {_kept(run)}") from error
+        raise Refused(f"{with_notes(error)}; {_kept(run)}") from error
     finally:
         record.close()
 
 
 @contextmanager
 def _assembly(
-    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console
+    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console, haste: Haste
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
     """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
     bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
@@ -214,10 +231,10 @@ def _assembly(
             seed = run.manifest["seed"] or 0
             model = run.folder / MODEL
             truth = simulated_truth(bench, model if model.is_file() else None)
-            with dry_bench(bench, truth, seed, wire, plan=run.plan, taken=taken) as assembly:
+            with dry_bench(bench, truth, seed, wire, haste, plan=run.plan, taken=taken) as assembly:
                 yield assembly, bar
         else:
-            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire), bar
+            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire, haste), bar
 
 
 def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:

@@ -74,23 +74,6 @@ class Instruments:
             raise failures[0] if len(failures) == 1 else NotConnected(failures)
         return identities
 
-    def leave_safe(self) -> dict[str, str]:
-        """Set the chamber to its safe setting, close everything (a head stops, a meter goes to local).
-
-        Returns what a person must still do, by instrument. Never raises.
-        """
-        to_do = {}
-        if self.chamber is not None:
-            try:
-                note = self.chamber.make_safe()
-            except BenchError as error:
-                note = str(error)
-            if note:
-                to_do[self.chamber.name] = note
-        for instrument in self.all():
-            instrument.close()
-        return to_do
-
 
 @dataclass
 class Workbench:
@@ -99,7 +82,7 @@ class Workbench:
     `visits` gives the series that readings of a (series, installation) are recorded with, where the block
     was mounted again in the middle of it; `block_limits_c` are the temperatures that the block may have;
     `least_samples` is how few samples every voltmeter takes, by which signals are seen to settle;
-    `temperature_c` is the temperature last read or told.
+    `temperature_c` is the temperature last read or told, `demanded_c` what the chamber was last sent to.
     """
 
     instruments: Instruments
@@ -115,6 +98,7 @@ class Workbench:
     _reference_v: float | None = field(default=None, init=False)
     _position: HeadPosition | None = field(default=None, init=False)
     temperature_c: float | None = field(default=None, init=False)
+    demanded_c: float | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
 
     def execute(self, step: Step) -> Result | None:
@@ -152,9 +136,13 @@ class Workbench:
 
     def set_temperature(self, step: SetTemperature) -> TemperatureSet:
         """Set the chamber."""
-        self._chamber(f"{step.key}: the procedure sets a temperature").set_temperature(
-            step.target_c, step.key
-        )
+        chamber = self._chamber(f"{step.key}: the procedure sets a temperature")
+        before_c, self.demanded_c = self.demanded_c, step.target_c
+        try:
+            chamber.set_temperature(step.target_c, step.key)
+        except LimitExceeded:  # the only failure by which nothing was sent
+            self.demanded_c = before_c
+            raise
         self.temperature_c = None
         return TemperatureSet(step.target_c)
 
