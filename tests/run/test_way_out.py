@@ -187,6 +187,10 @@ def test_a_terminal_that_cannot_be_written_to_any_more_stops_no_run(tmp_path):
 
 
 def test_a_signal_while_an_event_cannot_be_written_leaves_the_disk_as_the_cause():
-    with Interrupts() as interrupts, pytest.raises(RecordError, match="disk full"), interrupts.shield():
-        os.kill(os.getpid(), signal.SIGTERM)
-        raise RecordError("disk full")
+    def write(interrupts):
+        with interrupts.shield():
+            os.kill(os.getpid(), signal.SIGTERM)
+            raise RecordError("disk full")
+
+    with Interrupts() as interrupts, pytest.raises(RecordError, match="disk full"):
+        write(interrupts)
