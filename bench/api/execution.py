@@ -17,12 +17,14 @@ from bench.api.errors import Refused
 from bench.api.provenance import versions
 from bench.api.source import bench_path
 from bench.assembly.served import Assembly, dry_bench, real_bench
+from bench.devices.chambers import ControlledChamberForm
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Read
+from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.control import ControlFile
 from bench.run.events import EventType
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
@@ -204,6 +206,7 @@ def carry_out(
                     bench.unit_under_test.temperature.maximum,
                 ),
                 least_samples=bench.least_samples,
+                slow_chamber_s=_slow_chamber_s(bench),
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
             ).run(resume)
@@ -217,6 +220,11 @@ def carry_out(
         raise Refused(f"{with_notes(error)}; {_kept(run)}") from error
     finally:
         record.close()
+
+
+def _slow_chamber_s(bench: BenchFile) -> float:
+    chamber = bench.instruments.chamber
+    return chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S
 
 
 @contextmanager

@@ -119,6 +119,8 @@ class EventType(StrEnum):
     """`step`, and an early sign."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
+    CHAMBER_SLOW = "chamber_slow"
+    """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
 

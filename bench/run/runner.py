@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
+from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
 from bench.run.prompts import confirm
@@ -56,7 +57,7 @@ class Runner:
     `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
     resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
     person's, not the bench's. `least_samples` is how few samples every voltmeter takes. After `hold_signals` no
-    signal raises anything any more.
+    signal raises anything any more. A chamber that hardly moves is told of after `slow_chamber_s`.
     """
 
     plan: Plan
@@ -73,6 +74,7 @@ class Runner:
     watch: Watch = lambda reading: ()
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
+    slow_chamber_s: float = SLOW_AFTER_S
     on_settling: Callable[[Settling], None] = lambda state: None
     hold_signals: Callable[[], None] = lambda: None
     state: RunState = RunState.READY
@@ -89,6 +91,8 @@ class Runner:
             on_settling=self.on_settling,
             block_limits_c=self.block_limits_c,
             least_samples=self.least_samples,
+            slow_chamber_s=self.slow_chamber_s,
+            tell=lambda kind, data: self._emit(kind, **data),
         )
 
     def run(self, resume: ResumePoint | None = None) -> None:

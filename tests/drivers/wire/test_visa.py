@@ -13,7 +13,6 @@ import pytest
 
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
 from drivers.wire import pyvisa_connection
-from drivers.wire.haste import Haste
 from drivers.wire.visa import MessageSession
 
 NAME = "voltmeter.x"
@@ -388,17 +387,3 @@ def test_close_ends_a_wait_in_another_thread() -> None:
         assert s.connection is None
         waiting.join(LONG_S)
     assert [type(error) for error in raised] == [InstrumentLost]
-
-
-def test_in_haste_a_wait_that_is_under_way_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.wire.haste.HASTY_S", 0.05)
-    monkeypatch.setattr("drivers.wire.visa._SLICE_S", 0.02)
-    haste = Haste()
-
-    def silent(connection: socket.socket, line: str) -> None:
-        haste.asked = True
-
-    with served(silent) as resource, session(resource, timeout_s=LONG_S, haste=haste) as meter:
-        meter.open()
-        with pytest.raises(InstrumentLost, match=r"did not answer \*IDN\? within 0.05 s"):
-            meter.query("*IDN?")
