@@ -100,6 +100,5 @@ def _offers(target: str | None) -> int:
     for port in offer.serial_ports:
         table.add_row(port.resource, f"serial port {port.device} {port.description}".rstrip())
     out.print(table if table.row_count else "nothing was found")
-    for note in offer.notes:
-        out.print(f"note: {note}")
+    printing.notes_on(out, offer.notes)
     return 0

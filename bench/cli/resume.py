@@ -36,7 +36,7 @@ def resume(
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
         if history.torn:
-            printing.aside("note: the last line of the record was half written and is dropped")
+            printing.notes_aside(["the last line of the record was half written and is dropped"])
         carry_out(found, record, history, wire, printing.console(json=json))
     return conclude(Run(found.folder), json)
 

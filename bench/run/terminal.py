@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
+from bench.base.progress import quiet
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.control import SIGN, OperatorWish, parse_wish
@@ -115,7 +116,7 @@ class ProgressBar:
             TextColumn("{task.percentage:>3.0f} %  {task.fields[left]} left"),
             console=console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=not console.is_terminal or quiet.get(),
         )
         self._task = self._progress.add_task("opening the instruments", total=len(plan.steps), left="")
 
@@ -168,12 +169,12 @@ class ProgressBar:
 
     def _show_reading(self, reading: Reading | None) -> None:
         """Keep the last reading on the screen, above the bar."""
-        if reading and self._console.is_terminal:
+        if reading and self._console.is_terminal and not quiet.get():
             values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading.mean, strict=True))
             self._console.print(Text(f"{reading}: {values} {reading.unit}", style="dim"))
 
     def _print_line(self, index: int) -> None:
-        if self._console.is_terminal:
+        if self._console.is_terminal or quiet.get():
             return
         step = self._plan.steps[index]
         where = getattr(step, "installation", None)
