@@ -64,6 +64,8 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
 
 
 def _show(rows: Sequence[InstrumentLook]) -> None:
+    from bench.run.same_serial import same_serials
+
     out = printing.console()
     table = printing.table()
     for heading in ("instrument", "address", "identity", "settings", "self-test", "shows"):
@@ -81,6 +83,8 @@ def _show(rows: Sequence[InstrumentLook]) -> None:
             shows,
         )
     out.print(table)
+    for words in same_serials({row.name: row.identity for row in rows if row.identity is not None}):
+        out.print(f"note: {words}")
     well = sum(not row.failures for row in rows)
     out.print(f"{well} of {len(rows)} instruments are well")
 

@@ -43,7 +43,7 @@ def resume(
 
 def _accept_changes(run: Run, target: str | None) -> None:
     """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
-    from bench.run.prompts import confirm
+    from bench.run.prompts import agree
     from bench.run.terminal import TerminalPerson
     from drivers.interfaces import Prompt, PromptKind
 
@@ -58,7 +58,7 @@ def _accept_changes(run: Run, target: str | None) -> None:
             text="Go on as the run was begun, without these changes?",
             action={"do": "answer"},
         )
-        confirm(TerminalPerson(sys.stdin, out), prompt)
+        agree(TerminalPerson(sys.stdin, out, wishes=()), prompt)
 
 
 def _changed_since(run: Run) -> list[str]:

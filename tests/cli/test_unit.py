@@ -33,7 +33,7 @@ def test_the_run_is_of_the_unit_that_is_given_and_the_bench_files_is_told(empty_
 
 @pytest.mark.parametrize("unit", ["", "  ", "17\x1b[31m", "17\n18"])
 def test_what_cannot_be_printed_is_no_serial_number(empty_folder, unit):
-    with pytest.raises(Refused, match="unit .*serial number"):
+    with pytest.raises(Refused, match=r"unit .*serial number"):
         begun(unit)
 
 
