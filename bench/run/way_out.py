@@ -18,9 +18,9 @@ def leave_safe(instruments: Instruments, demanded_c: float | None) -> dict[str, 
     """
     to_do = {}
     chamber = instruments.chamber
-    if chamber is not None and chamber.name in instruments.opened:
-        if note := _standby(chamber, demanded_c):
-            to_do[chamber.name] = note
+    opened = chamber is not None and chamber.name in instruments.opened
+    if chamber is not None and opened and (note := _standby(chamber, demanded_c)):
+        to_do[chamber.name] = note
     for instrument in instruments.all():
         if trouble := _closed(instrument):
             to_do[instrument.name] = "; ".join(filter(None, (to_do.get(instrument.name), trouble)))

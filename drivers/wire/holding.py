@@ -27,6 +27,7 @@ from drivers.interfaces import InstrumentRefused
 
 _ADAPTER: Final = re.compile(r"prologix://(/\S+|COM\d+|[^\s/:]+(?::\d+)?)/\d{1,2}", re.IGNORECASE)
 _PORT: Final = re.compile(r"ASRL(/\S+|COM\d+)::INSTR", re.IGNORECASE)
+_SERIAL: Final = re.compile(r"/|COM\d+$", re.IGNORECASE)
 _KINDS: Final = ("INSTR", "SOCKET", "INTFC")
 _ADAPTER_PORT: Final = ":1234"
 _NO_LOCKS: Final = (OSError, NotImplementedError)
@@ -41,9 +42,9 @@ def normalised(resource: str) -> str:
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]
-        return (
-            _device(place) if place.startswith("/") else f"adapter {_host(place).removesuffix(_ADAPTER_PORT)}"
-        )
+        if _SERIAL.match(place):
+            return _device(place)
+        return f"adapter {_host(place).removesuffix(_ADAPTER_PORT)}"
     if (port := _PORT.fullmatch(resource)) is not None:
         return _device(port[1])
     parts = [part.upper() if part.upper() in _KINDS else part for part in resource.split("::")]
