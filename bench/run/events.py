@@ -117,8 +117,12 @@ class EventType(StrEnum):
     """`installation`, `series`, and `now_series` by which its further readings are known."""
     EARLY_SIGN = "early_sign"
     """`step`, and an early sign."""
+    SAME_SERIAL = "same_serial"
+    """`words`, a sentence: instruments that state one serial number."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
+    CHAMBER_SLOW = "chamber_slow"
+    """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
 
