@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from bench.run.folder import Run
-from bench.run.record import RecordError, is_being_written
+from bench.run.manifest import RecordError
+from bench.run.record import is_being_written
 from bench.run.states import ENDED, RunState
 
 
@@ -49,4 +50,4 @@ def _state_and_next(run: Run) -> tuple[str, str]:
 def _count(run: Run) -> int:
     if run.imported:
         return int(run.manifest["readings"])
-    return len({e.data["step"] for e in run.history.events if e.type == "step_done" and "reading" in e.data})
+    return len(run.history.readings)

@@ -16,8 +16,9 @@ from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetT
 from bench.readings.reading import Reading
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
+from bench.run.manifest import RecordError
 from bench.run.prompts import confirm
-from bench.run.record import Record, RecordError
+from bench.run.record import Record
 from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
 from bench.run.settling import Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
