@@ -18,6 +18,7 @@ from bench.api.errors import Refused
 from bench.api.provenance import versions
 from bench.api.source import bench_path
 from bench.assembly.served import Assembly, dry_bench, real_bench
+from bench.base.progress import quiet
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
@@ -25,6 +26,7 @@ from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Read
 from bench.run.control import ControlFile
+from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.run.history import History, read_history
 from bench.run.log import RunLog
@@ -45,11 +47,15 @@ MOST_RECALLED: Final = 500
 
 @dataclass(frozen=True)
 class NewRun:
-    """A run that may begin: its folder, what its manifest says, and the files that it is begun with."""
+    """A run that may begin: its folder, what its manifest says, and the files that it is begun with.
+
+    `notes` is what whoever begins it should know.
+    """
 
     folder: Path
     manifest: Manifest
     inputs: dict[str, bytes]
+    notes: tuple[str, ...] = ()
 
     def record(self, shield: Callable[[], AbstractContextManager[None]] | None = None) -> Record:
         """Make the folder and return its record; `shield` keeps a line from being cut in two by Ctrl-C."""
@@ -67,9 +73,12 @@ def new_run(
     seed: int,
     name: str | None = None,
     operator: str = "",
+    unit: str | None = None,
     model: Path | None = None,
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
+
+    `unit` is the serial number of the block, in place of the bench file's.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -78,6 +87,11 @@ def new_run(
     plan = loaded.expand()
     file = load_bench(bench_file_path)
     problems = check(plan, file, dry_run=dry_run)
+    if unit is not None and (not unit.strip() or not unit.isprintable()):
+        problems = [
+            *problems,
+            f"--unit {unit!r}: a serial number is text that can be printed, such as 17-042",
+        ]
     if problems:
         raise Refused("\n".join(problems))
     inputs = {
@@ -90,7 +104,8 @@ def new_run(
         load_model(model, file.installation_models())
         inputs[MODEL] = model.read_bytes()
     name = checked_name(name or _free_name(plan.name, runs))
-    unit = file.unit_under_test
+    stated = file.unit_under_test
+    serial = stated.serial if unit is None else unit.strip()
     manifest: Manifest = {
         "name": name,
         "created": utc_now().isoformat(),
@@ -100,12 +115,19 @@ def new_run(
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
         "plan_hash": plan.hash,
-        "unit_under_test": {"type": unit.type, "serial": unit.serial},
+        "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
     }
     if foreign := foreign_drivers(file):
         manifest["devices"] = foreign
-    return NewRun(runs / name, manifest, inputs)
+    return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
+
+
+def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
+    """Say that a run is of another unit than its bench file names."""
+    if serial == stated:
+        return ()
+    return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
 
 
 def refuse_missing_devices(run: Run) -> None:
@@ -142,7 +164,9 @@ def _free_name(procedure: str, runs: Path) -> str:
 def unfinished_run(name: str | None, runs: Path) -> Run:
     """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another."""
     if name is None:
-        waiting = [run for run in all_runs(runs) if _waits(run)]
+        digests = Digests(runs)
+        waiting = [run for run in all_runs(runs) if _waits(run, digests)]
+        digests.save()
         if not waiting:
             raise Refused(f"{runs}: no unfinished run there")
         return waiting[-1]
@@ -163,10 +187,10 @@ def taken_up(
     return record, history
 
 
-def _waits(run: Run) -> bool:
+def _waits(run: Run, digests: Digests) -> bool:
     """Whether a run was begun here, has not ended, and nobody is carrying it out."""
     try:
-        waits = not run.imported and run.history.state not in ENDED
+        waits = not run.imported and digests.of(run).state not in ENDED
     except (RecordError, ValueError):
         return False
     return waits and not is_being_written(run.folder)
@@ -180,11 +204,12 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
     bench = load_bench(run.folder / BENCH)
     where = "simulated instruments" if run.simulated else "the bench"
     verb = "goes on" if resume else "starts"
-    out.print(
-        f"run {run.name} {verb} on {where}: {run.plan.name}, {len(run.plan.steps)} steps, "
-        f"recorded in {run.folder}"
-    )
-    out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
+    if not quiet.get():
+        out.print(
+            f"run {run.name} {verb} on {where}: {run.plan.name}, {len(run.plan.steps)} steps, "
+            f"recorded in {run.folder}"
+        )
+        out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
         with _assembly(run, bench, history, wire, out) as (assembly, bar):
             Runner(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from functools import cached_property
@@ -65,7 +65,7 @@ Result = Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelecte
 _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered)
 """Results, which their fields tell apart in a record."""
 
-_FIELDS: Final[Mapping[type[Any], tuple[str, ...]]] = {
+_FIELDS: Final[Mapping[Callable[..., Result], tuple[str, ...]]] = {
     kind: tuple(of.name for of in fields(kind)) for kind in _KINDS
 }
 
@@ -126,6 +126,8 @@ class EventType(StrEnum):
     """`installation`, `series`, and `now_series` by which its further readings are known."""
     EARLY_SIGN = "early_sign"
     """`step`, and an early sign."""
+    SAME_SERIAL = "same_serial"
+    """`words`, a sentence: instruments that state one serial number."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
     IMPORTED = "imported"
@@ -189,8 +191,8 @@ class Event:
         if type(bench_s) not in _NUMBERS or not math.isfinite(bench_s):
             raise ValueError("its bench time is no number")
         for name, kinds in _TOLD.get(kind, ()):
-            value = data[name]
-            if type(value) is not kinds or (kinds is int and not 0 <= value < MOST):
+            value: Any = data[name]
+            if type(value) is not kinds or (isinstance(value, int) and not 0 <= value < MOST):
                 raise ValueError(f"{name} is none")
         return cls(number, time, float(bench_s), kind, data)
 

@@ -102,7 +102,8 @@ class _Reader:
 
     def __init__(self, manifest_sha256: str) -> None:
         self._head, self._length, self._torn = manifest_sha256, 0, ""
-        self._count, self._last = 0, None
+        self._count = 0
+        self._last: Event | None = None
         self._state = RunState.READY
         self._progress = Progress()
         self._taken: list[tuple[int, Reading] | None] = []
