@@ -17,6 +17,7 @@ from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
 from drivers.interfaces import BenchError, Person
 from drivers.motion import Travel
+from drivers.wire.haste import Haste
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 
 Section = VoltmeterForm | HeadForm | ChamberForm
@@ -26,7 +27,8 @@ Section = VoltmeterForm | HeadForm | ChamberForm
 class Surroundings:
     """What drivers are given beside their own section.
 
-    `resources` has by name the resources that are taken in place of those in the bench file.
+    `resources` has by name the resources that are taken in place of those in the bench file; `haste` tells
+    when instruments that do not answer are waited for no longer.
     """
 
     person: Person
@@ -34,6 +36,7 @@ class Surroundings:
     line_hz: float
     wire: Wire | None = None
     resources: Mapping[str, str] | None = None
+    haste: Haste | None = None
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
         """Return the message session of an instrument; nothing is opened."""
@@ -46,6 +49,7 @@ class Surroundings:
             write_termination=port.write_termination,
             serial=None if port.serial is None else SerialSettings(**port.serial),
             wire=self.wire,
+            haste=self.haste,
         )
 
 

@@ -37,6 +37,7 @@ from bench.run.runner import Observer
 from bench.run.workbench import Instruments
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Person, Voltmeter
+from drivers.wire.haste import Haste
 from drivers.wire.visa import Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
@@ -59,10 +60,12 @@ class Assembly:
     at_resumed_time: Callable[[float], None] | None = None
 
 
-def real_bench(bench: BenchFile, person: Person, wire: Wire | None = None) -> Assembly:
+def real_bench(
+    bench: BenchFile, person: Person, wire: Wire | None = None, haste: Haste | None = None
+) -> Assembly:
     """Put the bench of a bench file together; nothing is opened yet."""
     clock = SystemClock()
-    instruments = instruments_of(bench, Surroundings(person, clock, bench.line_frequency, wire))
+    instruments = instruments_of(bench, Surroundings(person, clock, bench.line_frequency, wire, haste=haste))
     return Assembly(instruments, person, clock)
 
 
@@ -72,6 +75,7 @@ def dry_bench(
     model: ForwardModel,
     seed: int,
     wire: Wire | None = None,
+    haste: Haste | None = None,
     *,
     plan: Plan | None = None,
     taken: Sequence[Reading] = (),
@@ -102,7 +106,9 @@ def dry_bench(
     terminals = on_terminals(bench) if TERMINALS else ()
     with _simulated(bench, world, with_terminals=terminals) as simulated:
         ports = {name: simulated.terminals[name].resource for name in terminals}
-        given = Surroundings(operator, clock, bench.line_frequency, wire, simulated.resources | ports)
+        given = Surroundings(
+            operator, clock, bench.line_frequency, wire, simulated.resources | ports, haste=haste
+        )
         instruments = instruments_of(bench, given)
         _recall(world, taken)
         yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)

@@ -35,7 +35,7 @@ def resume(
         record, history = taken_up(found, interrupts.shield)
         if history.torn:
             printing.notes_aside(["the last line of the record was half written and is dropped"])
-        carry_out(found, record, history, wire, printing.console(json=json))
+        carry_out(found, record, history, wire, printing.console(json=json), interrupts)
     return conclude(Run(found.folder), json)
 
 
