@@ -217,7 +217,11 @@ class _Hands:
         exchanged = dict(zip(cables, reversed(cables), strict=True))
         true_v = type(self._world).signal_v
         world: Any = self._world
-        world.signal_v = lambda channel, time_s=None: true_v(world, exchanged.get(channel, channel), time_s)
+
+        def signal_v(channel: Channel, time_s: float | None = None) -> float:
+            return true_v(world, exchanged.get(channel, channel), time_s)
+
+        world.signal_v = signal_v
 
     def _wrong_now(self) -> Mistake | None:
         return (
@@ -269,6 +273,7 @@ class MistakenOperator(ScriptedOperator):
         if prompt.id.startswith("halt@"):
             self.asked.append(prompt.text)
             self._hands.mend()
+            self._turned_for = None  # what was turned wrongly is turned again
             kind = self._mistake.kind if self._mistake else ""
             return Answer(prompt.id, REDO.get(kind, "redo point"))
         self._hands.at(prompt.id)

@@ -139,7 +139,7 @@ class Fed:
             pass_number=step.pass_number,
             point=step.point,
             angle_deg=None if angle_rad is None else math.degrees(angle_rad),
-            direction=step.direction,
+            direction=step.direction or 0,
             time_s=self.world.clock.now_s(),
             temperature_c=self.world.block_c,
             mean=(mean[0], mean[1], mean[2]),
@@ -319,15 +319,15 @@ def campaign(part: str, runs: int, clean: int, seed: int, jobs: int, **options: 
     kinds = options.pop("kinds", None) or KINDS
     tasks = [(kind, number) for number in range(runs) for kind in kinds]
     tasks += [(CLEAN, number) for number in range(clean)]
-    work = partial(_one, part=part, seed=seed, **options)
+    work = partial(_one, part, seed, options)
     if jobs == 1:
         return [work(task) for task in tasks]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         return list(pool.map(work, tasks, chunksize=4))
 
 
-def _one(task: tuple[str, int], part: str, seed: int, **options: Any) -> Outcome:
-    kind, number = task
+def _one(part: str, seed: int, given: dict[str, Any], task: tuple[str, int]) -> Outcome:
+    (kind, number), options = task, dict(given)
     if part == "whole":
         return whole(kind, number, seed, **options)
     options.pop("folder", None)

@@ -39,6 +39,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     from bench.api.instruments import look_at
     from bench.api.source import bench_path
     from bench.files.bench.file import load_bench
+    from bench.run.signals import Interrupts
     from drivers.wire.log import logged_wire
 
     if not (bench or os.environ.get("BENCH_FILE")):
@@ -46,8 +47,8 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
             "say which bench: --bench FILE (or set BENCH_FILE); --discover lists what the interfaces offer"
         )
     file = load_bench(bench_path(bench))
-    with logged_wire(wire_log) as wire:
-        rows = look_at(file, wire)
+    with logged_wire(wire_log) as wire, Interrupts() as interrupts:
+        rows = look_at(file, wire, interrupts.haste)
     failures = [failure for row in rows for failure in row.failures]
     result = {
         "bench": file.name,
@@ -104,6 +105,5 @@ def _offers(target: str | None) -> int:
     for port in offer.serial_ports:
         table.add_row(port.resource, f"serial port {port.device} {port.description}".rstrip())
     out.print(table if table.row_count else "nothing was found")
-    for note in offer.notes:
-        out.print(f"note: {note}")
+    printing.notes_on(out, offer.notes)
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Collection
 from typing import Final, TextIO
 
@@ -9,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
+from bench.base.progress import quiet
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.control import SIGN, OperatorWish, parse_wish
@@ -47,6 +49,10 @@ class TerminalPerson:
         self._console = console
         self._pause = pause
         self._go_on = go_on
+        if isinstance(answers, io.TextIOWrapper) and answers.errors != "backslashreplace":
+            answers.reconfigure(
+                errors="backslashreplace"
+            )  # bytes that are no text are an answer that does not fit
 
     def ask(self, prompt: Prompt) -> Answer:
         """Show the prompt and read a line.
@@ -134,7 +140,7 @@ class ProgressBar:
             TextColumn("{task.percentage:>3.0f} %  {task.fields[left]} left"),
             console=console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=not console.is_terminal or quiet.get(),
         )
         self._task = self._progress.add_task("opening the instruments", total=len(plan.steps), left="")
 
@@ -187,12 +193,12 @@ class ProgressBar:
 
     def _show_reading(self, reading: Reading | None) -> None:
         """Keep the last reading on the screen, above the bar."""
-        if reading and self._console.is_terminal:
+        if reading and self._console.is_terminal and not quiet.get():
             values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading.mean, strict=True))
             self._console.print(Text(f"{reading}: {values} {reading.unit}", style="dim"))
 
     def _print_line(self, index: int) -> None:
-        if self._console.is_terminal:
+        if self._console.is_terminal or quiet.get():
             return
         step = self._plan.steps[index]
         where = getattr(step, "installation", None)
@@ -219,6 +225,11 @@ def sentence(event: Event) -> str:
             return f"failed, tried again: {data['error']}"
         case EventType.WISH_REFUSED:
             return f"{data['wish']} is not possible: {data['why']}"
+        case EventType.CHAMBER_SLOW:
+            return (
+                f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
+                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
+            )
         case EventType.LEFT_SAFE:
             return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
     return event.type

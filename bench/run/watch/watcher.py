@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from bench.readings.reading import Reading
 from bench.run.events import Event, EventType, Mounted
+from bench.run.resume import Progress
 from bench.run.watch.early_warning import EarlyWarning, Place
 from bench.run.watch.expectation import Judgement
 from bench.run.watch.sign import EarlySign
@@ -38,12 +39,23 @@ class Watcher:
         """Judge a reading; return what is to be told of it."""
         return self._warning.take(reading)
 
-    def recall(self, events: Sequence[Event]) -> None:
-        """Go through the events of a run that is taken up again."""
-        for event in events:
-            self.observe(event)
-            if (reading := event.reading) is not None:
-                self._warning.take(reading)
+    def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: Progress) -> None:
+        """Take the readings on record of a run that is taken up again.
+
+        None stands where the block was mounted anew. Those that were taken again, or are to be, are passed over.
+        """
+        last = {one[0]: number for number, one in enumerate(taken) if one is not None}
+        for number, one in enumerate(taken):
+            if one is None:
+                self._warning.remounted()
+                continue
+            step, reading = one
+            if last[step] != number or step not in progress.done:
+                continue
+            self._places[step] = reading.place
+            self._warning.take(reading)
+            if step in progress.gone_on:
+                self._warning.went_on()
 
     def foresee(self, reading: Reading) -> Judgement:
         """Hold a reading against what is expected of it without taking it."""
