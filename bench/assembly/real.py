@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from bench.devices.chambers import ChamberForm, ControlledChamberForm
@@ -26,7 +26,8 @@ Section = VoltmeterForm | HeadForm | ChamberForm
 class Surroundings:
     """What drivers are given beside their own section.
 
-    `resources` has by name the resources that are taken in place of those in the bench file.
+    `resources` has by name the resources that are taken in place of those in the bench file; `sessions` takes
+    up the sessions that are made, by the names of their instruments.
     """
 
     person: Person
@@ -34,11 +35,12 @@ class Surroundings:
     line_hz: float
     wire: Wire | None = None
     resources: Mapping[str, str] | None = None
+    sessions: dict[str, MessageSession] = field(default_factory=dict)
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
         """Return the message session of an instrument; nothing is opened."""
         port = section.port()
-        return MessageSession(
+        self.sessions[name] = MessageSession(
             name,
             (self.resources or {}).get(name, section.resource),
             timeout_s=section.timeout,
@@ -47,6 +49,7 @@ class Surroundings:
             serial=None if port.serial is None else SerialSettings(**port.serial),
             wire=self.wire,
         )
+        return self.sessions[name]
 
 
 def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:

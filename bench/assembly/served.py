@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bench.assembly.real import Surroundings, instruments_of
 from bench.assembly.simulated import (
@@ -37,7 +37,7 @@ from bench.run.runner import Observer
 from bench.run.workbench import Instruments
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Person, Voltmeter
-from drivers.wire.visa import Wire
+from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
 from sim.wires.pty import TERMINALS
@@ -50,20 +50,25 @@ from sim.world.world import World
 
 @dataclass(frozen=True)
 class Assembly:
-    """A bench put together: instruments, who answers prompts, the clock, and who watches the run."""
+    """A bench put together: instruments, who answers prompts, the clock, and who watches the run.
+
+    `sessions` are those of the instruments with a wire, `simulated` the bench behind them where it is a dry one.
+    """
 
     instruments: Instruments
     person: Person
     clock: Clock
     observers: tuple[Observer, ...] = ()
     at_resumed_time: Callable[[float], None] | None = None
+    sessions: Mapping[str, MessageSession] = field(default_factory=dict)
+    simulated: SimulatedBench | None = None
 
 
 def real_bench(bench: BenchFile, person: Person, wire: Wire | None = None) -> Assembly:
     """Put the bench of a bench file together; nothing is opened yet."""
     clock = SystemClock()
-    instruments = instruments_of(bench, Surroundings(person, clock, bench.line_frequency, wire))
-    return Assembly(instruments, person, clock)
+    given = Surroundings(person, clock, bench.line_frequency, wire)
+    return Assembly(instruments_of(bench, given), person, clock, sessions=given.sessions)
 
 
 @contextmanager
@@ -105,7 +110,9 @@ def dry_bench(
         given = Surroundings(operator, clock, bench.line_frequency, wire, simulated.resources | ports)
         instruments = instruments_of(bench, given)
         _recall(world, taken)
-        yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)
+        yield Assembly(
+            instruments, operator, clock, (key_world,), clock.advance_to, given.sessions, simulated
+        )
 
 
 def _recall(world: World, taken: Sequence[Reading]) -> None:
