@@ -52,6 +52,8 @@ PROOF: Final = frozenset(
     {FaultKind.ERROR, FaultKind.LOCAL, FaultKind.POWER_CYCLE, FaultKind.OVERLOAD, FaultKind.LATE}
 )
 """What may pass without a trace when it strikes once: errors are cleared, settings sent, nothing was sampled."""
+PROOF_FOR_GOOD: Final[dict[str, str]] = {FaultKind.LOCAL: "voltmeter", FaultKind.POWER_CYCLE: "chamber"}
+"""What may do so each time: only RS-232 knows a LOCAL key, and a chamber that was switched off stands by."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class Bench:
     path: Path
     exchanges: Mapping[str, int]
     able: Mapping[str, tuple[str, ...]]
+    on_rs232: tuple[str, ...]
     behind_adapter: tuple[str, ...]
     motorised: bool
 
@@ -96,6 +99,7 @@ class Struck:
         self.exchanges: dict[str, int] = {}
         self.before_cables: dict[str, int] = {}
         self.bench: SimulatedBench | None = None
+        self._cables = self._armed = False
 
     def __call__(self, *arguments: Any, **named: Any) -> SimulatedBench:
         simulated = self.bench = SimulatedBench(*arguments, **named)
@@ -114,15 +118,19 @@ class Struck:
     ) -> bytes | None:
         self.exchanges[name] = self.exchanges.get(name, 0) + 1
         trial = self._trial
-        if (
-            trial
-            and trial.kind not in HEAD_FAULTS
-            and (name, self.exchanges[name]) == (trial.instrument, trial.at)
-        ):
+        if trial is None or trial.kind in HEAD_FAULTS or name != trial.instrument:
+            return handle(message, interrupted)
+        # A fault of a wire strikes a reply, so it waits for an exchange that has one.
+        due, of_wire = self.exchanges[name] >= trial.at and not self._armed, trial.kind not in OF_INSTRUMENT
+        if due and not of_wire:
             self._arm(trial)
-        return handle(message, interrupted)
+        reply = handle(message, interrupted)
+        if due and of_wire and reply is not None:
+            self._arm(trial)
+        return reply
 
     def _arm(self, trial: Trial) -> None:
+        self._armed = True
         kind = FaultKind(trial.kind)
         seconds = LATE_PART * TIMEOUT_S if kind is FaultKind.LATE else 0.0
         when = {"at": 1} if trial.mode == ONCE else {"probability": 1.0}
@@ -131,7 +139,8 @@ class Struck:
 
     def told(self, line: str) -> None:
         """Take note of how many exchanges there were when the first cable is about to be pulled."""
-        if CABLE not in line:
+        self._cables |= CABLE in line
+        if not self._cables:
             self.before_cables = dict(self.exchanges)
 
     def unsafe(self) -> list[str]:
@@ -175,7 +184,8 @@ def benches(folder: Path, names: Sequence[str]) -> list[Bench]:
         }
         behind = tuple(m.name for m in file.instruments.voltmeters if m.place is not None)
         motorised = not file.instruments.head.by_hand
-        made.append(Bench(name, path, watch.before_cables, able, behind, motorised))
+        rs232 = tuple(m.name for m in file.instruments.voltmeters if m.interface == "rs232")
+        made.append(Bench(name, path, watch.before_cables, able, rs232, behind, motorised))
     return made
 
 
@@ -229,6 +239,8 @@ def _judged(trial: Trial, result: Mapping[str, Any], outcome: Outcome) -> list[s
     suspects = trial.bench.behind_adapter if trial.instrument.startswith("adapter") else (trial.instrument,)
     outcome.traced = any(one["instrument"] in suspects for one in troubles)
     proof = trial.mode == ONCE and trial.kind in PROOF
+    if trial.instrument not in trial.bench.on_rs232:
+        proof |= trial.instrument.startswith(PROOF_FOR_GOOD.get(trial.kind, "nobody"))
     if not outcome.traced and not proof:
         wrong.append("the instrument is not named")
     others = [one for one in troubles if one["instrument"] not in suspects]

@@ -15,6 +15,7 @@ from bench.devices.wires import WiredForm
 from drivers.interfaces import BenchError, Instrument, ThermalChamber, Voltmeter
 
 CABLE: Final = "cable pulled"
+AGAIN: Final = "cable plugged in again"
 
 TRIES: Final = 3
 """A driver may try so often before it gives a wire up; each try costs a timeout, and one to connect."""
@@ -56,11 +57,13 @@ def cables(evening: Evening) -> Iterator[Cable]:
 
 
 def check_cables(evening: Evening) -> None:
-    """Have each cable pulled and plugged again."""
+    """Have each cable pulled and plugged again, then look at all that hang on it as at any other time."""
     for cable in cables(evening):
         present = [one for one in cable.instruments if evening.present(one)]
         first = (present or cable.instruments)[0]
         evening.carry_out(CABLE, first, partial(_pulled, evening, cable, first), by_wire=False)
+        for one in present:
+            evening.carry_out(AGAIN, one, partial(_looked_at, evening, one))
 
 
 def _pulled(evening: Evening, cable: Cable, first: Instrument) -> Finding:
@@ -94,6 +97,11 @@ def _pulled(evening: Evening, cable: Cable, first: Instrument) -> Finding:
             CABLE, name, State.SLOWER, said, figures, "give it a shorter timeout in the bench file"
         )
     return Finding(CABLE, name, State.WORKS, f"its loss was told ({why}), then it answered again", figures)
+
+
+def _looked_at(evening: Evening, instrument: Instrument) -> Finding:
+    _look(evening, instrument)()
+    return Finding(AGAIN, instrument.name, State.WORKS, "answers as before")
 
 
 def _look(evening: Evening, instrument: Instrument) -> Callable[[], object]:

@@ -241,8 +241,8 @@ def _noise(evening: Evening, meter: Voltmeter) -> Finding:
         return _judged_by_time(evening, meter, settings, found, took_s)
     return Finding(
         NOISE, meter.name, State.OTHER, ", ".join(wrong), tuple(figures),
-        "see that the input is really shorted, at the meter's own terminals, and that it has warmed up for an hour; "
-        "if it stays so, have the meter adjusted",
+        "see that the input is really shorted, at the meter's own terminals, and that it has warmed up for an "
+        "hour; if it stays so, have the meter adjusted",
     )  # fmt: skip
 
 
