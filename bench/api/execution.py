@@ -17,6 +17,7 @@ from bench.api.errors import Refused
 from bench.api.provenance import versions
 from bench.api.source import bench_path
 from bench.assembly.served import Assembly, dry_bench, real_bench
+from bench.base.progress import quiet
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
@@ -40,11 +41,15 @@ from drivers.wire.log import WireLog
 
 @dataclass(frozen=True)
 class NewRun:
-    """A run that may begin: its folder, what its manifest says, and the files that it is begun with."""
+    """A run that may begin: its folder, what its manifest says, and the files that it is begun with.
+
+    `notes` is what whoever begins it should know.
+    """
 
     folder: Path
     manifest: Manifest
     inputs: dict[str, bytes]
+    notes: tuple[str, ...] = ()
 
     def record(self, shield: Callable[[], AbstractContextManager[None]] | None = None) -> Record:
         """Make the folder and return its record; `shield` keeps a line from being cut in two by Ctrl-C."""
@@ -62,9 +67,12 @@ def new_run(
     seed: int,
     name: str | None = None,
     operator: str = "",
+    unit: str | None = None,
     model: Path | None = None,
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
+
+    `unit` is the serial number of the block, in place of the bench file's.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -73,6 +81,11 @@ def new_run(
     plan = loaded.expand()
     file = load_bench(bench_file_path)
     problems = check(plan, file, dry_run=dry_run)
+    if unit is not None and (not unit.strip() or not unit.isprintable()):
+        problems = [
+            *problems,
+            f"--unit {unit!r}: a serial number is text that can be printed, such as 17-042",
+        ]
     if problems:
         raise Refused("\n".join(problems))
     inputs = {
@@ -85,7 +98,8 @@ def new_run(
         load_model(model, file.installation_models())
         inputs[MODEL] = model.read_bytes()
     name = checked_name(name or _free_name(plan.name, runs))
-    unit = file.unit_under_test
+    stated = file.unit_under_test
+    serial = stated.serial if unit is None else unit.strip()
     manifest: Manifest = {
         "name": name,
         "created": utc_now().isoformat(),
@@ -95,12 +109,19 @@ def new_run(
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
         "plan_hash": plan.hash,
-        "unit_under_test": {"type": unit.type, "serial": unit.serial},
+        "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
     }
     if foreign := foreign_drivers(file):
         manifest["devices"] = foreign
-    return NewRun(runs / name, manifest, inputs)
+    return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
+
+
+def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
+    """Say that a run is of another unit than its bench file names."""
+    if serial == stated:
+        return ()
+    return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
 
 
 def refuse_missing_devices(run: Run) -> None:
@@ -166,11 +187,12 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
     bench = load_bench(run.folder / BENCH)
     where = "simulated instruments" if run.simulated else "the bench"
     verb = "goes on" if resume else "starts"
-    out.print(
-        f"run {run.name} {verb} on {where}: {run.plan.name}, {len(run.plan.steps)} steps, "
-        f"recorded in {run.folder}"
-    )
-    out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
+    if not quiet.get():
+        out.print(
+            f"run {run.name} {verb} on {where}: {run.plan.name}, {len(run.plan.steps)} steps, "
+            f"recorded in {run.folder}"
+        )
+        out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
         with _assembly(run, bench, history, wire, out) as (assembly, bar):
             Runner(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from bench.run.folder import Run
+import json
+
+from bench.run.folder import VERIFY, Run
 from bench.run.record import RecordError, is_being_written
 from bench.run.states import ENDED, RunState
 
@@ -19,6 +21,7 @@ def run_summary(run: Run) -> dict[str, object]:
             "instruments": "-",
             "state": f"damaged: {reason}",
             "readings": 0,
+            "verdict": None,
             "to_go_on": "",
         }
     return {
@@ -27,8 +30,18 @@ def run_summary(run: Run) -> dict[str, object]:
         "instruments": "simulated" if run.simulated else ("-" if state == "imported" else "real"),
         "state": state,
         "readings": count,
+        "verdict": _verdict(run),
         "to_go_on": to_go_on,
     }
+
+
+def _verdict(run: Run) -> str | None:
+    """Return the verdict that stands in a run's folder, "passed" or "failed"; None where there is none."""
+    try:
+        found = json.loads((run.folder / f"{VERIFY}.json").read_text(encoding="utf-8"))
+        return "passed" if found["passed"] else "failed"
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
 
 
 def _state_and_next(run: Run) -> tuple[str, str]:

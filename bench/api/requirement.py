@@ -22,6 +22,7 @@ from bench.analysis.planning.requirements import (
 from bench.api.errors import Refused
 from bench.api.quantities import named, quantity
 from bench.api.source import bench_path
+from bench.base.progress import tracked
 from bench.base.units import ACCELERATION, SCALE_FACTOR, VOLTAGE, QuantityKind
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_procedure
@@ -159,7 +160,7 @@ def requirements(
         asked,
         unit,
         _up_to_g(up_to, file) if of in ACCELERATIONS else None,
-        tuple(asked.alone(source) for source in sources),
+        tuple(asked.alone(source) for source in tracked(sources, "limits of the errors")),
         balanced,
         unbalanced,
         tuple(_alternatives(asked, file, plan)),
@@ -238,10 +239,10 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
     """Every estimator on the procedure, then the estimator on the other procedures that the bench can do."""
     shares = asked.shares()
     dominant = next(s for s in asked.sources if s.name == max(shares, key=shares.__getitem__))
-    for estimator in ESTIMATORS:
+    for estimator in tracked(ESTIMATORS, "other estimators"):
         if in_a_budget(estimator).name == estimator:
             yield from _alternative(replace(asked, estimator=estimator), dominant, plan, bench)
-    for name in PROCEDURES:
+    for name in tracked(PROCEDURES, "other procedures"):
         if name == plan.name:
             continue
         other = load_procedure(find_procedure(name)).expand()

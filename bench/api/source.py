@@ -16,7 +16,7 @@ from bench.model import ForwardModel
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
 from bench.run.folder import BENCH, IMPORTED, Run, find_run
-from bench.run.record import MANIFEST, sha256
+from bench.run.record import MANIFEST, UnitUnderTest, sha256
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -138,6 +138,8 @@ def _load(given: Given, request: Request) -> Source:
     notes: tuple[str, ...] = ()
     if run is not None and request.bench is not None:
         notes = (f"evaluated with {taken.where} in place of the bench file that the run recorded",)
+    bench, other_unit = _of_unit(bench, run.manifest.get("unit_under_test") if run is not None else None)
+    notes += other_unit
     readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
     gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
     if gravity is None:
@@ -150,6 +152,19 @@ def _load(given: Given, request: Request) -> Source:
     readings = replace(readings, notes=(*notes, *readings.notes))
     name = given if isinstance(given, str) else readings.source
     return Source(name, readings, bench, sha256(taken.content), taken.words, model, gravity, run, request)
+
+
+def _of_unit(bench: BenchFile, unit: UnitUnderTest | None) -> tuple[BenchFile, tuple[str, ...]]:
+    """Return the bench with the unit that the readings are of, and a note where its file names another."""
+    stated = bench.unit_under_test
+    if unit is None or (unit["type"], unit["serial"]) == (stated.type, stated.serial):
+        return bench, ()
+    note = (
+        f"the readings are of unit {unit['type']} {unit['serial']}; the bench file names "
+        f"{stated.type} {stated.serial}"
+    )
+    own = stated.model_copy(update={"type": unit["type"], "serial": unit["serial"]})
+    return bench.model_copy(update={"unit_under_test": own}), (note,)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,13 @@ from typing import Annotated, Any
 import typer
 
 from bench.api.errors import Refused
+from bench.base import progress
+from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 
 DONE, NOT_DONE = 0, 2
+ANYWHERE = ("--debug", "--quiet")
+"""Options that may stand before a command or after it."""
 CTRL_C = 130
 """What the command-line library makes of a Ctrl-C."""
 
@@ -28,6 +32,9 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _common(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="No progress and no notes; results, questions and errors stay.")
+    ] = False,
     version: Annotated[
         bool,
         typer.Option(
@@ -42,8 +49,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status; every mistake is a clear line on standard error."""
     given = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in given
+    hushed = progress.quiet.set("--quiet" in given)
     try:
-        status = app([a for a in given if a != "--debug"] or ["--help"], standalone_mode=False)
+        typed = [word for word in given if word not in ANYWHERE]
+        status = app(typed or ["--help"], prog_name="bench", standalone_mode=False)
         if status == CTRL_C:
             status = _fail("stopped by Ctrl-C")
     except KeyboardInterrupt:
@@ -56,19 +65,30 @@ def main(arguments: list[str] | None = None) -> None:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        status = _fail(explain(error))
+        status = _fail(explain(error, _command_in(given)))
+    finally:
+        progress.quiet.reset(hushed)
     sys.exit(status if isinstance(status, int) else DONE)
 
 
-def explain(error: Exception) -> str:
-    """Return the sentence for an error; one that nobody foresaw says how to see more."""
+def _command_in(given: list[str]) -> str:
+    """Return the command that was typed, as a sentence names it."""
+    return " ".join(["bench", *[word for word in given if word in COMMANDS][:1]])
+
+
+def explain(error: Exception, command: str = "bench") -> str:
+    """Return the sentence for an error; one that nobody foresaw names the command, and how to see more."""
     if isinstance(error, Refused):
         return error.typed
     if isinstance(error, typer.TyperException) or expected(error):
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {error.strerror or error}"
-    return f"unexpected {type(error).__name__}: {error}; run again with --debug and report what it shows"
+    kind = ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split()))))
+    return (
+        f"'{command}' was stopped by a mistake of the program ({kind}); run it again with --debug and report "
+        "what it shows"
+    )
 
 
 def expected(error: Exception) -> bool:

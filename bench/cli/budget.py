@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli import printing
+from bench.cli import printing, progress
 from bench.cli.options import (
     BenchOption,
     EstimatorOption,
@@ -62,21 +62,22 @@ def budget(
 
     With --rule the exit status is 1 when the check at the verification points cannot be passed with 95 %.
     """
-    from bench.api import budget as api
-
     printing.check_target(json)
-    found = api.budget(
-        bench,
-        procedure,
-        estimator,
-        model=model,
-        coefficients=coefficients,
-        trials=trials,
-        rule=rule or "simple",
-        limit=limit,
-        same_voltmeters=same_voltmeters,
-        g=g,
-    )
+    with progress.shown():
+        from bench.api import budget as api
+
+        found = api.budget(
+            bench,
+            procedure,
+            estimator,
+            model=model,
+            coefficients=coefficients,
+            trials=trials,
+            rule=rule or "simple",
+            limit=limit,
+            same_voltmeters=same_voltmeters,
+            g=g,
+        )
     printing.write_json([found.to_dict()], json)
     if out is not None:
         _write_page(out, found, printing.console(json=json))

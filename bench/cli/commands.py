@@ -15,8 +15,13 @@ COMMANDS: Final = {
     "abort": "End an interrupted run for good; its record is kept.",
     "control": "Ask something of a run that another program is carrying out;"
     " typed at a prompt it is :pause, :redo, …",
+    "init": "Write copies of the shipped procedures and bench files, to edit.",
     "check": "Validate a procedure against a bench and print steps, time and operator actions;"
     " touch no instrument.",
+    "instruments": "Open every instrument of a bench at once:"
+    " identity, self-test, a reading, and all that is wrong.",
+    "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
+    " or command a bench that is served.",
     "runs": "List the runs, what became of them, and how to go on.",
     "show": "Show what a run holds: inputs, events, readings.",
     "export": "Write the readings of a run as a readings file.",
@@ -24,11 +29,6 @@ COMMANDS: Final = {
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
     "verify": "Δg at the verification points against the limit; exit status 1 when one is outside.",
     "report": "Write the report of a run: one HTML page.",
-    "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
-    " or command a bench that is served.",
-    "instruments": "Open every instrument of a bench at once:"
-    " identity, self-test, a reading, and all that is wrong.",
-    "init": "Write copies of the shipped procedures and bench files, to edit.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
     "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",
     "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
@@ -38,6 +38,15 @@ COMMANDS: Final = {
     "plan-points": "Test points that reach an uncertainty in the least bench time, or the most in a given time.",
 }  # fmt: skip
 """Every command with the first line of its help, in the order in which the help lists them."""
+
+HEADINGS: Final = {
+    "run": "Measure",
+    "init": "Prepare",
+    "runs": "Records",
+    "calibrate": "Evaluate",
+    "budget": "Plan",
+}  # fmt: skip
+"""Commands before which a heading stands in the help: it holds up to the next."""
 
 
 class Commands(TyperGroup):
@@ -52,8 +61,21 @@ class Commands(TyperGroup):
         return load_command(cmd_name) if cmd_name in COMMANDS else None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the list of the commands, of which none is imported for it."""
-        TyperGroup(commands=dict(self.commands)).format_commands(ctx, formatter)
+        """Write the commands under their headings, with their whole summaries; none is imported for it."""
+        sections: list[tuple[str, list[tuple[str, str]]]] = []
+        for name, line in COMMANDS.items():
+            if name in HEADINGS or not sections:
+                sections.append((HEADINGS.get(name, "Commands"), []))
+            sections[-1][1].append((name, line))
+        width = max(map(len, COMMANDS))
+        for heading, rows in sections:
+            with formatter.section(heading):
+                formatter.write_dl([(name.ljust(width), line) for name, line in rows])
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Return what completes a command or an option; no command is imported to name it."""
+        listed = TyperGroup(name=self.name, commands=dict(self.commands), params=self.params)
+        return listed.shell_complete(ctx, incomplete)
 
 
 def load_command(name: str) -> Any:

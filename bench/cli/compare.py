@@ -163,8 +163,7 @@ def _print(result: Comparison, out: Console) -> None:
             f"what the lines leave: chi2 {result.drift.chi2:.1f} for {result.drift.dof}, "
             f"{probability(result.drift.p)}"
         )
-    for note in result.notes:
-        out.print(f"note: {note}")
+    printing.notes_on(out, result.notes)
     names = sorted(
         {n for c in result.changes for n, is_so in zip(COEFFICIENTS, c.changed, strict=True) if is_so}
     )

@@ -167,8 +167,7 @@ def _print(model: TemperatureModel, table: CompensationTable, names: list[str], 
         f"{error.bias * 1e6:.2g} µg and {error.per_g * 1e6:.2g} µg for each g, single precision "
         f"{error.single * 1e6:.2g} µg up to {error.reach_g:g} g"
     )
-    for note in model.notes:
-        out.print(f"note: {note}")
+    printing.notes_on(out, model.notes)
 
 
 def _coefficient_table(model: TemperatureModel) -> Table:

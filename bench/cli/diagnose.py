@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from bench.cli import printing
+from bench.base.progress import tracked
+from bench.cli import printing, progress
 from bench.cli.options import (
     RUNS,
     BenchOption,
@@ -92,9 +93,11 @@ def diagnosed(
     alone = together or len(request.sources) == 1
     if alone:
         body = body_of(load_sources(request))
-        results = [examined(body, accept_first=accept_first, report=report is not False)]
+        with progress.shown():
+            results = [examined(body, accept_first=accept_first, report=report is not False)]
     else:
-        results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
+        with progress.shown():
+            results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
     printing.write_json([one.to_dict() for one in results], target)
     out = printing.console(json=target)
     if alone:
@@ -115,7 +118,7 @@ def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iter
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=fresh) as pool:
         try:
-            yield from pool.map(work, request.sources)
+            yield from tracked(pool.map(work, request.sources), "sources", len(request.sources))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -198,4 +201,4 @@ def _not_written(body: Body, what: str, error: OSError) -> None:
     """Say that a file is not written; raise `error` where its place was asked for."""
     if body.source.request.out is not None:
         raise error
-    printing.aside(f"note: {what} is not written ({error.strerror}); use --out DIR")
+    printing.notes_aside([f"{what} is not written ({error.strerror}); use --out DIR"])

@@ -95,6 +95,8 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
 
 
 def _show(rows: Sequence[InstrumentLook]) -> None:
+    from bench.run.same_serial import same_serials
+
     out = printing.console()
     table = printing.table()
     for heading in ("instrument", "address", "identity", "settings", "self-test", "shows"):
@@ -112,6 +114,8 @@ def _show(rows: Sequence[InstrumentLook]) -> None:
             shows,
         )
     out.print(table)
+    for words in same_serials({row.name: row.identity for row in rows if row.identity is not None}):
+        out.print(f"note: {words}")
     well = sum(not row.failures for row in rows)
     out.print(f"{well} of {len(rows)} instruments are well")
 
@@ -131,6 +135,5 @@ def _offers(target: str | None) -> int:
     for port in offer.serial_ports:
         table.add_row(port.resource, f"serial port {port.device} {port.description}".rstrip())
     out.print(table if table.row_count else "nothing was found")
-    for note in offer.notes:
-        out.print(f"note: {note}")
+    printing.notes_on(out, offer.notes)
     return 0

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final
 import typer
 from typer.core import TyperCommand, TyperOption
 
+from bench.cli import completing
 from bench.cli.commands import Commands
 from bench.devices import FOLDERS
 
@@ -63,7 +64,7 @@ app = typer.Typer(
     name="bench",
     cls=Commands,
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["--help", "-h"]},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Calibrates triaxial accelerometer blocks on a dividing head.",
@@ -90,7 +91,12 @@ class WithEstimators(TyperCommand):
 
 BenchOption = Annotated[
     str | None,
-    typer.Option("--bench", metavar="FILE", help="Bench file, by path or name (default: BENCH_FILE)."),
+    typer.Option(
+        "--bench",
+        metavar="FILE",
+        help="Bench file, by path or name (default: BENCH_FILE).",
+        autocompletion=completing.bench_files,
+    ),
 ]
 RunsOption = Annotated[
     Path, typer.Option("--runs", metavar="DIR", envvar="BENCH_RUNS", help="Folder in which runs live.")
@@ -121,16 +127,33 @@ RuleOption = Annotated[
 ]
 LimitOption = Annotated[float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")]
 ProcedureOption = Annotated[
-    str, typer.Option("--procedure", metavar="FILE", help="Procedure, by path or shipped name.")
+    str,
+    typer.Option(
+        "--procedure",
+        metavar="FILE",
+        help="Procedure, by path or shipped name.",
+        autocompletion=completing.procedures,
+    ),
 ]
 EstimatorOption = Annotated[str, typer.Option(help=ESTIMATORS_IN_A_BUDGET)]
 Sources = Annotated[
-    list[str], typer.Argument(metavar="SOURCE…", help="Runs (name or path) or readings files.")
+    list[str],
+    typer.Argument(
+        metavar="SOURCE…",
+        help="Runs (name or path) or readings files.",
+        autocompletion=completing.sources,
+    ),
 ]
-ProcedureArgument = Annotated[str, typer.Argument(help="Procedure file, by path or shipped name.")]
-RunArgument = Annotated[str, typer.Argument(help="Run, by name or path.")]
+ProcedureArgument = Annotated[
+    str,
+    typer.Argument(help="Procedure file, by path or shipped name.", autocompletion=completing.procedures),
+]
+RunArgument = Annotated[str, typer.Argument(help="Run, by name or path.", autocompletion=completing.runs)]
 LatestRun = Annotated[
-    str | None, typer.Argument(help="Run, by name or path; the latest unfinished if left out.")
+    str | None,
+    typer.Argument(
+        help="Run, by name or path; the latest unfinished if left out.", autocompletion=completing.runs
+    ),
 ]
 
 RUNS = Path("runs")

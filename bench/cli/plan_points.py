@@ -10,7 +10,7 @@ import typer
 
 from bench.api.errors import Refused
 from bench.base.numbers import figures
-from bench.cli import printing
+from bench.cli import printing, progress
 from bench.cli.options import BenchOption, JsonOption, app
 
 if TYPE_CHECKING:
@@ -103,10 +103,12 @@ def plan_points(
     sites = Sites(stand, api.mountings(file, installations, visits), api.even_angles(file, angles))
     if time is None:
         weighed = cost if least == "time" else Cost(1.0, 1e-6)
-        found = cheapest(stand, sites, goals, weighed, most_settings, most_mountings)
+        with progress.shown():
+            found = cheapest(stand, sites, goals, weighed, most_settings, most_mountings)
     else:
         limit_s = api.duration_s("--time", time)
-        found = best_within(stand, sites, goals, cost, limit_s, most_mountings)
+        with progress.shown():
+            found = best_within(stand, sites, goals, cost, limit_s, most_mountings)
     planned = Points(found.visits, found.goals, found.covariance, cost)
     paper = api.paper_points(stand)
     if out is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.api.errors import Refused
+from bench.base.progress import quiet
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,7 +52,15 @@ def aside(*lines: str) -> None:
 
 def notes_aside(notes: Iterable[str]) -> None:
     """Print notes beside a result: standard output is JSON alone."""
-    aside(*(f"note: {note}" for note in notes))
+    if not quiet.get():
+        aside(*(f"note: {note}" for note in notes))
+
+
+def notes_on(out: Console, notes: Iterable[str]) -> None:
+    """Print notes among a result; `--quiet` leaves them to the JSON and the page."""
+    if not quiet.get():
+        for note in notes:
+            out.print(f"note: {note}")
 
 
 # --- results as JSON and in files -------------------------------------------------------------------
@@ -86,7 +95,7 @@ def write_beside(path: Path, text: str, *, asked: bool) -> bool:
     except OSError as error:
         if asked:
             raise
-        aside(f"note: {os.fspath(path)} is not written ({error.strerror}); use --out DIR")
+        notes_aside([f"{os.fspath(path)} is not written ({error.strerror}); use --out DIR"])
         return False
     return True
 
@@ -142,8 +151,7 @@ def calibration(result: CalibrationResult, file: Path | None, out: Console | Non
         without = ", without the outliers" if found.outliers else ""
         rms_ug = found.modulus_rms_g * 1e6
         out.print(f"modulus of the free readings: {rms_ug:.3g} µg root mean square from 1 g{without}")
-    for note in result.notes:
-        out.print(f"note: {note}")
+    notes_on(out, result.notes)
     for sentence in found.assumed:
         out.print(f"assumed: {sentence}")
     if file is not None:
@@ -162,8 +170,7 @@ def verification(result: VerificationResult, file: Path | None, out: Console | N
     """Print Δg at each verification point and the verdict."""
     out = out or console()
     out.print(result.table())
-    for note in result.notes:
-        out.print(f"note: {note}")
+    notes_on(out, result.notes)
     if file is not None:
         written("result", file, out)
     out.print(result.verdict(), style="bold")

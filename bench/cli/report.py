@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli import printing
+from bench.cli import completing, printing
 from bench.cli.options import (
     RUNS,
     BenchOption,
@@ -22,7 +22,9 @@ from bench.cli.options import (
 
 @app.command(epilog="Example: bench report unit-17")
 def report(
-    source: Annotated[str, typer.Argument(help="Run (name or path) or readings file.")],
+    source: Annotated[
+        str, typer.Argument(help="Run (name or path) or readings file.", autocompletion=completing.sources)
+    ],
     bench: BenchOption = None,
     model: ModelOption = None,
     g: GravityOption = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.base.numbers import figures
-from bench.cli import printing
+from bench.cli import printing, progress
 from bench.cli.options import (
     BenchOption,
     EstimatorOption,
@@ -74,22 +74,23 @@ def require(
     json: JsonOption = None,
 ) -> int:
     """How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now."""
-    from bench.api.requirement import requirements
-
     printing.check_target(json)
-    answer = requirements(
-        accuracy,
-        of,
-        up_to=up_to,
-        k=k,
-        reading=with_reading,
-        every_source=all_errors,
-        share=share,
-        costs=tuple(cost or ()),
-        estimator=estimator,
-        procedure=procedure,
-        bench=bench,
-    )
+    with progress.shown():
+        from bench.api.requirement import requirements
+
+        answer = requirements(
+            accuracy,
+            of,
+            up_to=up_to,
+            k=k,
+            reading=with_reading,
+            every_source=all_errors,
+            share=share,
+            costs=tuple(cost or ()),
+            estimator=estimator,
+            procedure=procedure,
+            bench=bench,
+        )
     _print(answer, printing.console(json=json))
     printing.write_json([answer.to_json()], json)
     asked = answer.requirement

@@ -36,14 +36,14 @@ def resume(
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
         if history.torn:
-            printing.aside("note: the last line of the record was half written and is dropped")
+            printing.notes_aside(["the last line of the record was half written and is dropped"])
         carry_out(found, record, history, wire, printing.console(json=json))
     return conclude(Run(found.folder), json)
 
 
 def _accept_changes(run: Run, target: str | None) -> None:
     """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
-    from bench.run.prompts import confirm
+    from bench.run.prompts import agree
     from bench.run.terminal import TerminalPerson
     from drivers.interfaces import Prompt, PromptKind
 
@@ -58,7 +58,7 @@ def _accept_changes(run: Run, target: str | None) -> None:
             text="Go on as the run was begun, without these changes?",
             action={"do": "answer"},
         )
-        confirm(TerminalPerson(sys.stdin, out), prompt)
+        agree(TerminalPerson(sys.stdin, out, wishes=()), prompt)
 
 
 def _changed_since(run: Run) -> list[str]:

@@ -33,6 +33,10 @@ def run(
     seed: Annotated[int, typer.Option(help="Random numbers of a dry run.", min=0)] = 1,
     name: Annotated[str | None, typer.Option(help="Name of the run (default: procedure and time).")] = None,
     operator: Annotated[str, typer.Option(help="Who stands at the bench, for the record.")] = "",
+    unit: Annotated[
+        str | None,
+        typer.Option(metavar="SERIAL", help="Serial number of the block, in place of the bench file's."),
+    ] = None,
     model: ModelOption = None,
     wire_log: WireLogOption = None,
     follow: Annotated[
@@ -62,8 +66,17 @@ def run(
         from drivers.wire.log import logged_wire
 
         new = new_run(
-            procedure, bench, runs, dry_run=dry_run, seed=seed, name=name, operator=operator, model=model
+            procedure,
+            bench,
+            runs,
+            dry_run=dry_run,
+            seed=seed,
+            name=name,
+            operator=operator,
+            unit=unit,
+            model=model,
         )
+        printing.notes_aside(new.notes)
         with logged_wire(wire_log) as wire, Interrupts() as interrupts:
             record = new.record(interrupts.shield)
             carry_out(Run(new.folder), record, None, wire, printing.console(json=json))

@@ -11,7 +11,8 @@ import typer
 
 from bench.api.errors import Refused
 from bench.base.numbers import MINUS, probability, quantity
-from bench.cli import printing
+from bench.base.progress import tracked
+from bench.cli import printing, progress
 from bench.cli.options import RUNS, BenchOption, JsonOption, OutOption, RunsOption, app
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ def stability(
             f"--integration {integration_s:g}: a sample cannot integrate longer than the {static.interval_s:.4g} s "
             "from one to the next"
         )
-    found = _findings(static, file, size, integration_s)
+    with progress.shown():
+        found = _findings(static, file, size, integration_s)
     result = _json(static, found)
     on = printing.console(json=json)
     _print(static, found, file, on)
@@ -123,8 +125,9 @@ def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integr
     from bench.analysis.stability.allan import allan_curve
     from bench.analysis.stability.noise_terms import fit_terms
 
-    curves = [allan_curve(record.signal[:, i], record.interval_s) for i in range(3)]
-    terms = [fit_terms(curve) for curve in curves]
+    channels = tracked(range(3), "Allan deviation of the channels")
+    curves = [allan_curve(record.signal[:, i], record.interval_s) for i in channels]
+    terms = [fit_terms(curve) for curve in tracked(curves, "noise terms of the channels")]
     averages = [averaging(c, t, size) for c, t in zip(curves, terms, strict=True)]
     longest = max(average.tau_s for average in averages)
     integrated_s = longest * integration_s / record.interval_s
@@ -180,11 +183,12 @@ def _print(record: StaticRecord, found: _Findings, bench: BenchFile, out: Consol
     for i, axis in enumerate(AXES):
         out.print(f"channel {axis}: {found.averages[i].tau_s:.3g} s: {found.averages[i].why}")
         if found.terms[i].p < MISFIT_P:
-            out.print(
-                f"note: channel {axis}: the five noise terms alone do not make this curve "
+            misfit = (
+                f"channel {axis}: the five noise terms alone do not make this curve "
                 f"({probability(found.terms[i].p)}): vibration or another line is in it; their uncertainties "
                 "are widened"
             )
+            printing.notes_on(out, [misfit])
     if found.advice is None:
         out.print(f"no reading follows: {found.no_advice}")
         return

@@ -13,12 +13,16 @@ from bench.devices.heads import HeadForm
 
 
 class ManualHeadSection(HeadForm):
-    """A head that a person turns: value of a division of its scale, how far a reading may be from its target."""
+    """A head that a person turns: value of a division of its scale, how far a reading may be from its target.
+
+    Where `enter_accepts_target`, Enter alone says that the head stands at the target; else the angle is typed.
+    """
 
     by_hand: ClassVar = True
 
     driver: Literal["manual-head"]
     scale_division: SizeRad
+    enter_accepts_target: bool = True
 
     @model_validator(mode="after")
     def _readable(self) -> ManualHeadSection:
@@ -27,8 +31,8 @@ class ManualHeadSection(HeadForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return how far a reading may be from its target."""
-        return {"tolerance_rad": self.tolerance}
+        """Return how far a reading may be from its target, and what Enter says."""
+        return {"tolerance_rad": self.tolerance, "enter_accepts_target": self.enter_accepts_target}
 
 
 class ManualChamberSection(ChamberForm):
@@ -56,7 +60,7 @@ DEVICE = (
         ManualHeadSection,
         driver="drivers.manual.head:ManualHead",
         simulation=None,
-        example={"scale_division": "1 arcsec", "tolerance": "30 arcsec"},
+        example={"scale_division": "1 arcsec", "tolerance": "30 arcsec", "enter_accepts_target": False},
         place=0,
     ),
     Device(

@@ -117,6 +117,8 @@ class EventType(StrEnum):
     """`installation`, `series`, and `now_series` by which its further readings are known."""
     EARLY_SIGN = "early_sign"
     """`step`, and an early sign."""
+    SAME_SERIAL = "same_serial"
+    """`words`, a sentence: instruments that state one serial number."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
     IMPORTED = "imported"

@@ -18,6 +18,7 @@ BENCH = "bench.yaml"
 PROCEDURE = "procedure.yaml"
 MODEL = "model.yaml"
 IMPORTED = "readings.csv"
+VERIFY = "verify"
 
 
 @dataclass(frozen=True)

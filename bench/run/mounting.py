@@ -28,14 +28,17 @@ PICTURES: Final[Mapping[str, str]] = {
 UNTOUCHED: Final = "untouched"
 
 
-def mount_prompt(step: Mount) -> Prompt:
-    """Return the task of mounting the block, with a drawing of the installation where there is one."""
+def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
+    """Return the task of mounting the block, with a drawing of the installation where there is one.
+
+    It has no default: a key hit by chance mounts nothing. `chamber` says whether there is one to be closed.
+    """
+    close = ", close the chamber" if chamber else ""
     again = "" if step.series == 1 else f" (visit {step.series})"
     return Prompt(
         id=step.key,
         kind=PromptKind.CONFIRM,
-        text=f"Mount the block in installation {step.installation}{again}, clamp it, close the chamber",
-        default="yes",
+        text=f"Mount the block in installation {step.installation}{again}, clamp it{close}",
         action={"do": "mount", "installation": step.installation, "series": step.series},
         picture=PICTURES.get(step.installation, ""),
     )
@@ -48,4 +51,4 @@ def untouched_prompt(step: Mount) -> Prompt:
         "If not, mount it again now, and say so"
     )
     choices = (UNTOUCHED, "mounted again")
-    return replace(mount_prompt(step), kind=PromptKind.CHOOSE, text=text, default=UNTOUCHED, choices=choices)
+    return replace(mount_prompt(step, chamber=False), kind=PromptKind.CHOOSE, text=text, choices=choices)

@@ -10,6 +10,8 @@ from drivers.interfaces import BenchError, Person, Prompt, PromptKind
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
 MOST_ATTEMPTS: Final = 20
+MOST_WAITS: Final = 1000
+"""So often may a task be answered with "no": more is nobody who reads the question."""
 
 
 def ask(person: Person, prompt: Prompt) -> str:
@@ -59,6 +61,17 @@ def _problem_with_number(prompt: Prompt, text: str) -> str:
 
 
 def confirm(person: Person, prompt: Prompt) -> None:
-    """Ask for a confirmation. Raises `BenchError` when the person says no, beside what `ask` raises."""
+    """Have a task done; "no" waits: the question stands again until it is. Raises what `ask` raises."""
+    put = prompt
+    for wait in range(1, MOST_WAITS + 1):
+        if ask(person, put).lower() not in NO:
+            return
+        text = f"There is no hurry: say yes when it is done. {prompt.text}"
+        put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
+    raise BenchError("operator", f"answered no again and again to: {prompt.text}", "go on when it is done")
+
+
+def agree(person: Person, prompt: Prompt) -> None:
+    """Ask for leave to go on. Raises `BenchError` when the person says no, beside what `ask` raises."""
     if ask(person, prompt).lower() in NO:
-        raise BenchError("operator", f"answered no to: {prompt.text}", "go on when it is done")
+        raise BenchError("operator", f"answered no to: {prompt.text}", "go on when that is settled")

@@ -10,15 +10,17 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
-from bench.run.prompts import confirm
+from bench.run.prompts import agree, confirm
 from bench.run.record import Record, RecordError
 from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
+from bench.run.same_serial import same_serials
 from bench.run.settling import Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
 from bench.run.watch.sign import EarlySign
@@ -99,11 +101,14 @@ class Runner:
         self._workbench.visits = self.progress.remounts
         try:
             self._zero_s = self.clock.now_s() - bench_s
-            identities = self.instruments.open()
-            self._compare(identities)
+            opened = self.instruments.open()
+            identities = {name: str(identity) for name, identity in opened.items()}
+            self._insist(partial(self._compare, identities))
             self._change(
                 EventType.RUN_RESUMED if resume else EventType.RUN_STARTED, step=start, instruments=identities
             )
+            for words in same_serials(opened):
+                self._emit(EventType.SAME_SERIAL, words=words)
             if resume:
                 self._restore(resume)
             self._carry_out(start)
@@ -163,7 +168,7 @@ class Runner:
         ]
         if changed:
             text = f"Other instruments than before: {'; '.join(changed)}. Go on with them?"
-            confirm(
+            agree(
                 self.person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"})
             )
 
@@ -173,13 +178,13 @@ class Runner:
         for kind in (SetTemperature, Mount, SelectInput):
             last = next((step for step in reversed(before) if isinstance(step, kind)), None)
             if isinstance(last, SetTemperature):
-                self._workbench.set_temperature(last)
+                self._insist(partial(self._workbench.set_temperature, last))
             elif isinstance(last, Mount):
-                self._remount(last)
+                self._insist(partial(self._remount, last))
             elif isinstance(last, SelectInput) and last.source != "signal":
-                self._workbench.execute(last)
+                self._insist(partial(self._workbench.execute, last))
         if resume.turn is not None:
-            self._step(resume.turn)
+            self._insist(partial(self._step, resume.turn))
         self.progress.reopen(self.plan, resume.step)
         if self.at_resumed_time is not None:
             self.at_resumed_time(resume.bench_s)
@@ -193,6 +198,18 @@ class Runner:
         highest = max(s.series for s in self.plan.steps if isinstance(s, Mount))
         visit = highest + 1 + len(self.progress.remounts)
         self._emit(EventType.REMOUNTED, installation=step.installation, series=step.series, now_series=visit)
+
+    def _insist(self, prepare: Callable[[], object]) -> None:
+        """Do what comes before the steps; of wishes the end is heard, and a pause is the question put again."""
+        while True:
+            try:
+                prepare()
+                return
+            except OperatorWish as wish:
+                if wish.control.wish is Wish.ABORT:
+                    raise self._aborted(wish.control) from None
+                if wish.control.wish is not Wish.PAUSE:
+                    self._refuse(wish.control, 0, "no step goes on yet")
 
     # --- wishes --------------------------------------------------------------------------------------
 
@@ -219,8 +236,11 @@ class Runner:
                 self._emit(EventType.SKIPPED, first=index, last=last, reason=control.reason)
                 return last + 1
             case Wish.ABORT:
-                self._change(EventType.RUN_ABORTED, reason=control.reason)
-                raise RunAborted(control.reason)
+                raise self._aborted(control)
+
+    def _aborted(self, control: RunControl) -> RunAborted:
+        self._change(EventType.RUN_ABORTED, reason=control.reason)
+        return RunAborted(control.reason)
 
     def _refuse(self, control: RunControl, index: int, why: str) -> int:
         self._emit(EventType.WISH_REFUSED, wish=control.wish.value, why=why)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
+from bench.base.progress import quiet
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.control import SIGN, OperatorWish, parse_wish
 from bench.run.events import Event, EventType
 from bench.run.settling import Settling
+from bench.run.states import Wish
+from bench.run.typing_help import HELP, heard_at, typing_help
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
 
 SLOW_TO_LEARN_S: Final = 1800.0
@@ -29,6 +32,7 @@ class TerminalPerson:
     """Answers prompts from a text stream: a keyboard, or a file of answers.
 
     `pause` and `go_on` are called around each question, so that a progress bar does not write over it.
+    `wishes` are those that can be heard at its questions, where they are not those of a run.
     """
 
     def __init__(
@@ -37,7 +41,9 @@ class TerminalPerson:
         console: Console,
         pause: Callable[[], None] = lambda: None,
         go_on: Callable[[], None] = lambda: None,
+        wishes: Collection[Wish] | None = None,
     ) -> None:
+        self._wishes = wishes
         self._answers = answers
         self._console = console
         self._pause = pause
@@ -53,11 +59,8 @@ class TerminalPerson:
             if prompt.picture:
                 self._console.print(Text(prompt.picture, style="dim"))
             line = self._line(prompt)
-            while line.startswith(SIGN):
-                try:
-                    raise OperatorWish(parse_wish(line))
-                except ValueError as mistake:
-                    self._console.print(Text(str(mistake)))
+            while line.startswith(SIGN) or line.strip() == HELP:
+                self._say(self._to_extra(prompt, line))
                 line = self._line(prompt)
         finally:
             self._go_on()
@@ -69,10 +72,27 @@ class TerminalPerson:
             )
         return Answer(prompt.id, line.strip())
 
+    def _to_extra(self, prompt: Prompt, line: str) -> str:
+        """Return what is to be said to a call for help, or to what is no wish; raise `OperatorWish` for one."""
+        wishes = heard_at(prompt) if self._wishes is None else self._wishes
+        if line.strip() == HELP:
+            return typing_help(prompt, wishes)
+        if not wishes:
+            return "no wish is heard at this question; answer it, or Ctrl-C"
+        try:
+            wish = parse_wish(line)
+        except ValueError as mistake:
+            return str(mistake)
+        raise OperatorWish(wish)
+
+    def _say(self, text: str, style: str = "", end: str = "\n") -> None:
+        """Print with lines broken between words, as a terminal alone would not."""
+        self._console.print(Text(text, style=style), end=end, soft_wrap=False)
+
     def _line(self, prompt: Prompt) -> str:
         _forget_typed_ahead(self._answers)
-        self._console.print(Text(f"» {prompt.text}", style="bold"))
-        self._console.print(Text(f"  [{self._hint(prompt)}] "), end="")
+        self._say(f"» {prompt.text}", "bold")
+        self._say(f"  [{self._hint(prompt)}] ", end="")
         line = self._answers.readline()
         if line and not self._answers.isatty():
             self._console.print(Text(line.rstrip()))  # as a keyboard would have shown it
@@ -82,7 +102,7 @@ class TerminalPerson:
     def _hint(prompt: Prompt) -> str:
         hint = HINTS.get(prompt.kind, prompt.unit) if not prompt.choices else ", ".join(prompt.choices)
         default = f"Enter = {prompt.default}" if prompt.default is not None else ""
-        return "; ".join(part for part in (hint, default) if part)
+        return "; ".join(part for part in (hint, default, f"{HELP} = help") if part)
 
 
 def _forget_typed_ahead(answers: TextIO) -> None:
@@ -115,7 +135,7 @@ class ProgressBar:
             TextColumn("{task.percentage:>3.0f} %  {task.fields[left]} left"),
             console=console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=not console.is_terminal or quiet.get(),
         )
         self._task = self._progress.add_task("opening the instruments", total=len(plan.steps), left="")
 
@@ -130,7 +150,7 @@ class ProgressBar:
         """Take the bar away while a question stands, and say where the run is."""
         self._progress.stop()
         if self._status:
-            self._console.print(Text(self._status, style="dim"))
+            self._console.print(Text(self._status, style="dim"), soft_wrap=False)
 
     def go_on(self) -> None:
         """Draw the bar again."""
@@ -149,7 +169,7 @@ class ProgressBar:
             self._progress.update(self._task, completed=event.step + 1)
             self._show_reading(event.reading)
         elif (text := sentence(event)) != event.type:
-            self._console.print(Text(text, style="bold yellow"))
+            self._console.print(Text(text, style="bold yellow"), soft_wrap=False)
 
     def settling(self, state: Settling) -> None:
         """Show how far what is waited for has settled."""
@@ -168,12 +188,12 @@ class ProgressBar:
 
     def _show_reading(self, reading: Reading | None) -> None:
         """Keep the last reading on the screen, above the bar."""
-        if reading and self._console.is_terminal:
+        if reading and self._console.is_terminal and not quiet.get():
             values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading.mean, strict=True))
             self._console.print(Text(f"{reading}: {values} {reading.unit}", style="dim"))
 
     def _print_line(self, index: int) -> None:
-        if self._console.is_terminal:
+        if self._console.is_terminal or quiet.get():
             return
         step = self._plan.steps[index]
         where = getattr(step, "installation", None)
@@ -192,6 +212,8 @@ def sentence(event: Event) -> str:
     match event.type:
         case EventType.EARLY_SIGN:
             return f"look: {data['sentence']}"
+        case EventType.SAME_SERIAL:
+            return f"look: {data['words']}"
         case EventType.STEP_FAILED:
             return f"failed, tried again: {data['error']}"
         case EventType.WISH_REFUSED:

@@ -31,6 +31,7 @@ from drivers.interfaces import (
     BenchError,
     DividingHead,
     HeadPosition,
+    Identity,
     Instrument,
     LimitExceeded,
     NotConnected,
@@ -61,13 +62,13 @@ class Instruments:
         """Every instrument, in the order in which they are opened."""
         return [*self.voltmeters, self.head, *([self.chamber] if self.chamber else [])]
 
-    def open(self) -> dict[str, str]:
+    def open(self) -> dict[str, Identity]:
         """Open everything and return the identities by name. Raises every failure at once."""
-        identities: dict[str, str] = {}
+        identities: dict[str, Identity] = {}
         failures: list[BenchError] = []
         for instrument in self.all():
             try:
-                identities[instrument.name] = str(instrument.open())
+                identities[instrument.name] = instrument.open()
             except BenchError as error:
                 failures.append(error)
         if failures:
@@ -140,7 +141,7 @@ class Workbench:
 
     def mount(self, step: Mount) -> Mounted:
         """Have the block mounted, and the temperature told where a person must tell it."""
-        confirm(self.person, mount_prompt(step))
+        confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
         chamber = self.instruments.chamber
         self.temperature_c = chamber.temperature(step.key) if chamber and chamber.asks_person else None

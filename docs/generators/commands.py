@@ -14,10 +14,14 @@ from docs.generators.markdown import code, table
 _INTRODUCTION: Final = """\
 # Commands
 
-`bench COMMAND --help` says the same. Exit status of every command: 0 done and accepted, 1 done and not
-accepted, 2 could not be done, with one clear line on standard error; `bench --debug COMMAND …` shows the
-traceback of an error. A result as JSON (`--json FILE`, `-` for standard output) has the form that
-[results](results.md) describes.
+`bench COMMAND --help` (or `-h`) says the same. Exit status of every command: 0 done and accepted, 1 done and
+not accepted, 2 could not be done, with one clear line on standard error. A result as JSON (`--json FILE`, `-` for
+standard output) has the form that [results](results.md) describes.
+
+Before a command or after it may stand `--debug`, which shows the traceback of an error, and `--quiet`, which
+leaves out progress and notes: results, questions and errors stay. What takes long shows on a terminal how far it is
+and the time left. `bench --install-completion` makes your shell complete commands, options, runs and procedures (it
+writes into the shell's own files); `bench --show-completion` prints the script for it and writes nothing.
 """
 
 

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
 
 _NUMBER: Final = re.compile(r"([+-]?\d{1,4}(?:[.,]\d+)?)\s*°?\s*[cC]?")
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
+_NO: Final = frozenset({"n", "no"})
+_MAX_WAITS: Final = 1000
+"""So often may "no" be answered, which waits: more is nobody who reads the question."""
 _PLAUSIBLE_K: Final = 20.0
 """A thermometer may stand this far outside the chamber's range (a room, a chamber not yet switched on)."""
 _MAX_ATTEMPTS: Final = 5
@@ -52,7 +55,7 @@ class ManualChamber:
         return f"set the chamber {safe} by hand"
 
     def set_temperature(self, target_c: float, key: str) -> None:
-        """Ask the person to set `target_c` and to confirm it.
+        """Ask the person to set `target_c` and to confirm it; "no" waits.
 
         Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` when it is never confirmed,
         `NoAnswer` when there is nobody to ask.
@@ -64,7 +67,8 @@ class ManualChamber:
                 "change the temperature in the procedure or the limits in the bench file",
             )
         self._set = True
-        for attempt in range(1, _MAX_ATTEMPTS + 1):
+        left = _MAX_ATTEMPTS
+        for attempt in range(1, _MAX_WAITS + 1):
             text = self._ask(
                 Prompt(
                     id=f"{key}#{attempt}",
@@ -76,6 +80,9 @@ class ManualChamber:
             )
             if text is not None and text.lower() in _YES:
                 return
+            left -= text is None or text.lower() not in _NO
+            if not left:
+                break
         raise InstrumentRefused(
             self.name,
             f"nobody confirmed that the chamber is set to {target_c:g} °C",

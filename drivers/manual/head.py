@@ -23,13 +23,23 @@ class ManualHead:
     """A `DividingHead` whose motor and encoder are a person.
 
     The angle that comes back is the one read on the scale after clamping, never the target: it is what
-    the calibration takes. `tolerance_rad` is how far it may lie from the target.
+    the calibration takes. `tolerance_rad` is how far it may lie from the target. Where
+    `enter_accepts_target`, an empty answer is the target; else the angle must be typed.
     """
 
-    def __init__(self, name: str, person: Person, *, tolerance_rad: float, max_attempts: int = 5) -> None:
+    def __init__(
+        self,
+        name: str,
+        person: Person,
+        *,
+        tolerance_rad: float,
+        enter_accepts_target: bool = True,
+        max_attempts: int = 5,
+    ) -> None:
         self.name = name
         self._person = person
         self._tolerance_rad = tolerance_rad
+        self._enter_accepts_target = enter_accepts_target
         self._max_attempts = max_attempts
 
     def open(self) -> Identity:
@@ -52,8 +62,12 @@ class ManualHead:
             if answer.prompt_id != prompt.id:
                 trouble = "That answer belonged to an earlier question."
                 continue
+            typed = answer.text.strip() or prompt.default
+            if not typed:
+                trouble = "Nothing was typed: read the scale and type what it shows."
+                continue
             try:
-                read_rad = parse_angle(answer.text.strip() or prompt.default or "")
+                read_rad = parse_angle(typed)
             except ValueError as error:
                 trouble = f"{error}."
                 continue
@@ -79,7 +93,7 @@ class ManualHead:
             id=prompt_id,
             kind=PromptKind.ANGLE,
             text=f"{trouble} {task}".lstrip(),
-            default=target,
+            default=target if self._enter_accepts_target else None,
             unit="° ′ ″",
             action={"do": "turn", "target_rad": target_rad, "direction": direction},
         )

@@ -124,7 +124,9 @@ def scale_text(angle_arcsec: float) -> str:
 
 
 def _confirmation(prompt: Prompt) -> str:
-    return prompt.default if prompt.default is not None else "yes"
+    if prompt.default is not None:
+        return prompt.default
+    return prompt.choices[0] if prompt.choices else "yes"  # a block is untouched until somebody touches it
 
 
 def _default(prompt: Prompt) -> str:

@@ -155,7 +155,7 @@ def test_places_behind_an_adapter_are_those_that_the_driver_understands(resource
 )
 def test_every_driver_meets_its_simulation(composed, name, changes, identities):
     bench, assembly = composed(name, *changes)
-    told = assembly.instruments.open()
+    told = {name: str(identity) for name, identity in assembly.instruments.open().items()}
     wired = [text for text in told.values() if not text.startswith("manual")]
     assert [part for part, text in zip(identities, wired, strict=True) if part not in text.split()] == []
     before = read(assembly.instruments)

@@ -103,6 +103,17 @@ def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, capsys):
     assert run.readings().point.tolist() == [1, 2]
 
 
+def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served, capsys):
+    start(capsys, answers="yes\n23\n0 0 2\n")
+    status, out, err = command(capsys, "resume", "run", answers=":pause\n:redo\n?\n\n:abort no use\n")
+    assert status == 2
+    assert "aborted: no use" in err
+    assert "redo is not possible: no step goes on yet" in out
+    assert out.count("Is it untouched since?") == 5
+    assert ":skip" not in out
+    assert Run(Path("runs/run")).history.state == "aborted"
+
+
 def test_a_bench_file_changed_since_is_told_and_asked_about(served, capsys):
     start(capsys, answers="yes\n23\n0 0 2\n")
     Path("bench.yaml").write_text(
@@ -165,7 +176,7 @@ def test_a_fault_on_the_wire_stops_with_the_record_whole_and_is_repaired_by_resu
     assert run.history.state == "failed"
     assert not any("reading" in e.data for e in run.history.events)
     served.servers["voltmeter.y"].fault = None
-    command(capsys, "resume", "run", answers="\n0 0 2\n89 59 58\n")
+    command(capsys, "resume", "run", answers="untouched\n0 0 2\n89 59 58\n")
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert run.readings().point.tolist() == [1, 2]

@@ -81,6 +81,14 @@ def test_enter_accepts_the_target(degrees: float) -> None:
     )
 
 
+def test_where_the_bench_file_says_so_the_angle_must_be_typed() -> None:
+    person = Script(["", "45 00 02"])
+    h = ManualHead("head", person, tolerance_rad=TOLERANCE, enter_accepts_target=False)
+    assert h.move(math.radians(45.0), 1, "k").angle_rad == pytest.approx(math.radians(45.0) + 2 * SECOND)
+    assert [prompt.default for prompt in person.prompts] == [None, None]
+    assert person.prompts[1].text.startswith("Nothing was typed: read the scale")
+
+
 @pytest.mark.parametrize(
     ("target_deg", "typed", "read_deg"),
     [
@@ -168,7 +176,10 @@ def test_a_no_or_a_stale_yes_is_not_a_confirmation() -> None:
     c, person = chamber("no", Answer("2/chamber#1", "yes"), "Yes")
     c.set_temperature(20.0, "3/chamber")
     assert len(person.prompts) == 3
-    c, _ = chamber(*["no"] * 5)
+    c, person = chamber(*["no"] * 9, "yes")
+    c.set_temperature(20.0, "3/chamber")
+    assert len(person.prompts) == 10
+    c, _ = chamber(*["perhaps"] * 5)
     with pytest.raises(InstrumentRefused, match="nobody confirmed"):
         c.set_temperature(20.0, "3/chamber")
 

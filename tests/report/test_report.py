@@ -14,7 +14,7 @@ from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
-from bench.report import ReportContent, render_report, write_report
+from bench.report import ReportContent, plots, render_report, write_report
 from tests.support.paper_bench import STAND_U, simulate
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
@@ -46,6 +46,14 @@ def calibration():
     return calibrate(simulate(np.random.default_rng([5, 1]), 1e-4), MODEL, STAND_U, 9.81)
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """The page without its drawings, which take most of a second: enough for a test of its words."""
+    for name in ("residuals_by_angle", "residuals_in_order", "correlations", "verification_points"):
+        monkeypatch.setattr(plots, name, lambda *what: "<svg></svg>")
+    monkeypatch.setattr(plots, "compared_coefficients", lambda *what: "<svg></svg>")
+
+
 def verification_of(calibration, delta_g=0.0, missing=0):
     angle = np.radians([45.0, 135.0, 225.0, 315.0])
     turned = np.stack([np.sin(angle) / np.sqrt(2), -np.sin(angle) / np.sqrt(2), np.cos(angle)], axis=1)
@@ -55,7 +63,7 @@ def verification_of(calibration, delta_g=0.0, missing=0):
     return verify(rows, calibration.block, calibration.covariance, calibration.noise.reading, 3e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     for name, value, u in zip(COEFFICIENTS, calibration.block.vector, calibration.u, strict=True):
@@ -65,7 +73,7 @@ def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
         assert expected in text, name
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_verdict_is_said_first_and_in_words(calibration):
     passed = render_report(ReportContent("T", calibration, verification_of(calibration, 1e-4)))
     failed = render_report(ReportContent("T", calibration, verification_of(calibration, 5e-4)))
@@ -78,14 +86,14 @@ def test_the_verdict_is_said_first_and_in_words(calibration):
     assert "2 verification points that were planned are missing" in missing
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_without_verification_points_nothing_is_claimed(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     assert "Not verified" in text
     assert "neither passed nor failed" in text
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_what_a_user_wrote_cannot_become_markup(calibration):
     content = ReportContent("<b>T</b>", calibration, provenance={"operator": "<script>alert(1)</script>"})
     page = render_report(content)
@@ -103,7 +111,12 @@ def test_the_page_stands_alone_and_is_the_same_each_time(calibration):
     assert outside == []
     assert "url(http" not in page
     assert len(page) < 1_000_000
-    assert "SIMULATED" in page
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_simulated_run_is_marked(calibration):
+    content = ReportContent("T", calibration, simulated=True)
+    assert "SIMULATED" in render_report(content)
     assert "SIMULATED" not in render_report(replace(content, simulated=False))
 
 
@@ -116,7 +129,7 @@ def test_every_reading_is_in_the_residual_plots(calibration):
     assert len(re.findall(r"<use ", drawing)) >= 3 * len(calibration.fitted)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_what_the_data_do_not_tell_is_marked(calibration):
     text = Text(render_report(ReportContent("T", calibration))).text
     assert "no better known than before" in text  # alpha2: held by its limits alone
@@ -124,7 +137,7 @@ def test_what_the_data_do_not_tell_is_marked(calibration):
     assert "−10.4 µV/g" in text
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_other_units_and_notes(calibration):
     content = ReportContent(
         "T", replace(calibration, unit="counts"), notes=("run unfinished",), skipped=("line 4",)
@@ -135,7 +148,7 @@ def test_other_units_and_notes(calibration):
     assert "line 4" in text
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_comparison_with_another_estimator_is_shown(calibration):
     other = calibrate(calibration.fitted, MODEL, STAND_U, 9.81, "closed-form")
     page = render_report(ReportContent("T", calibration, compared=other))
@@ -145,7 +158,7 @@ def test_the_comparison_with_another_estimator_is_shown(calibration):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_it_is_written_as_utf8(calibration, tmp_path):
     write_report(ReportContent("Блок 17", calibration), tmp_path / "r.html")
     assert "Блок 17" in (tmp_path / "r.html").read_text(encoding="utf-8")

@@ -1,15 +1,20 @@
 """Prompts answered by a person: asked until the answer fits, a stale one ignored."""
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
+from bench.procedure.plan import Mount
 from bench.run.control import ControlFile, OperatorWish, RunControl, leave_wish
-from bench.run.prompts import ask, confirm
+from bench.run.mounting import mount_prompt
+from bench.run.prompts import agree, ask, confirm
+from bench.run.same_serial import same_serials
 from bench.run.states import Wish
 from bench.run.terminal import TerminalPerson
-from drivers.interfaces import Answer, BenchError, NoAnswer, Prompt, PromptKind
+from bench.run.typing_help import heard_at, typing_help
+from drivers.interfaces import Answer, BenchError, Identity, NoAnswer, Prompt, PromptKind
 
 
 class Script:
@@ -54,9 +59,70 @@ def test_it_ends_after_many_answers_that_do_not_fit():
         ask(Script(*["x"] * 30), NUMBER)
 
 
-def test_no_stops_the_run():
-    with pytest.raises(BenchError, match="answered no to: Mount"):
-        confirm(Script("no"), Prompt("1", PromptKind.CONFIRM, "Mount the block"))
+def test_no_waits_until_a_task_is_done():
+    person = Script("no", "n", "NO", "yes")
+    confirm(person, Prompt("1", PromptKind.CONFIRM, "Mount the block"))
+    assert len({p.id for p in person.seen}) == 4
+    assert person.seen[-1].text == "There is no hurry: say yes when it is done. Mount the block"
+
+
+def test_no_to_a_question_stops():
+    with pytest.raises(BenchError, match="answered no to: Go on"):
+        agree(Script("no"), Prompt("1", PromptKind.CONFIRM, "Go on"))
+
+
+@pytest.mark.parametrize("chamber", [True, False])
+def test_a_mounting_is_confirmed_in_words_and_speaks_of_a_chamber_only_where_there_is_one(chamber):
+    prompt = mount_prompt(Mount("m", "1", 1), chamber=chamber)
+    assert ("chamber" in prompt.text) is chamber
+    with pytest.raises(BenchError, match="no usable answer"):
+        confirm(Script(*[""] * 30), prompt)
+
+
+def test_help_names_the_answers_and_the_wishes_of_the_prompt():
+    shown = io.StringIO()
+    person = TerminalPerson(io.StringIO("?\n?\n12\n"), Console(file=shown, width=100))
+    assert person.ask(NUMBER).text == "12"
+    said = shown.getvalue()
+    assert "a number in V, 10 at least, 30 at most" in said
+    assert ":skip REASON: leave this point out" in said
+    assert ":continue" not in said
+    assert said.count("? = help") == 3
+    paused = Prompt("p", PromptKind.CONFIRM, "Paused", default="yes", action={"do": "wait"})
+    assert Wish.CONTINUE in heard_at(paused)
+    assert Wish.PAUSE not in heard_at(paused)
+
+
+def test_where_no_wish_is_heard_it_is_said():
+    shown = io.StringIO()
+    person = TerminalPerson(io.StringIO(":pause\nyes\n"), Console(file=shown), wishes=())
+    assert person.ask(Prompt("1", PromptKind.CONFIRM, "Go on")).text == "yes"
+    assert "no wish is heard at this question" in shown.getvalue()
+
+
+@pytest.mark.parametrize("width", [30, 41, 57, 80])
+def test_no_word_is_broken_at_the_end_of_a_line(width):
+    shown = io.StringIO()
+    console = Console(file=shown, width=width, soft_wrap=True, force_terminal=True, color_system=None)
+    prompt = mount_prompt(Mount("m", "1", 2), chamber=True)
+    with pytest.raises(NoAnswer):
+        TerminalPerson(io.StringIO("?\n"), console).ask(replace(prompt, picture=""))
+    lines = shown.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    words = f"» {prompt.text} {typing_help(prompt, heard_at(prompt))}".split()
+    assert set(words) <= set(shown.getvalue().split())
+
+
+def test_instruments_with_one_serial_number_are_told():
+    def meter(serial):
+        return Identity("K", "34461A", serial)
+
+    told = same_serials({"x": meter("MY1"), "y": meter("MY1"), "z": meter("MY1"), "head": meter("")})
+    assert told == [
+        "x, y and z state one serial number, MY1 (34461A): if that is one instrument, the addresses in the "
+        "bench file are wrong"
+    ]
+    assert same_serials({"x": meter("0"), "y": meter("0"), "z": meter("MY1")}) == []  # a 34401A states 0
 
 
 def test_the_terminal_says_when_the_answers_end():

@@ -90,7 +90,10 @@ class Person:
 
     def ask(self, prompt: Prompt) -> Answer:
         self.bench.act("ask", prompt.id)
-        return Answer(prompt.id, prompt.default or "7")
+        return Answer(
+            prompt.id,
+            prompt.default or {"choose": prompt.choices[:1], "confirm": ("yes",)}.get(prompt.kind, ("7",))[0],
+        )
 
 
 STOP = OnFailure(repeats=0, then="stop")

@@ -26,6 +26,7 @@ from bench.analysis.budget.monte_carlo import (
 from bench.analysis.budget.propagation import Propagated
 from bench.analysis.budget.sources import ErrorSource, influences
 from bench.base.arrays import Floats
+from bench.base.progress import tracked
 from bench.model import STAND_ANGLES
 from bench.model.block import COEFFICIENTS
 
@@ -81,7 +82,8 @@ def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1, digits: int = 
     require_trials(trials, budget.probability)
     rng = np.random.default_rng(seed)
     simulated = _Simulation(budget)
-    outputs = np.concatenate([simulated.outputs(count, rng) for count in batches(trials, BATCH)])
+    sizes = tracked(list(batches(trials, BATCH)), "Monte Carlo trials")
+    outputs = np.concatenate([simulated.outputs(count, rng) for count in sizes])
     found = summary(outputs, budget.probability)
     linear = _linear(budget)
     points = [f"Δg {np.degrees(a):g}°" for a in budget.setup.conditions.angle_rad[budget.setup.verification]]

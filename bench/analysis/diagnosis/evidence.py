@@ -18,6 +18,7 @@ import numpy as np
 from bench.analysis.diagnosis.candidates import Candidates, Variant
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
 from bench.base.arrays import Floats, Ints
+from bench.base.progress import tracked
 
 SIZES: Final = (1.0, 4.0, 20.0)
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
@@ -129,7 +130,8 @@ class Search:
     def score(self, data: Data) -> Scores:
         """Return the evidence of each variant and of the model as it is."""
         left = self.left_over(data)
-        parts = [self._score(left.part(slice(i, i + CHUNK))) for i in range(0, left.sets, CHUNK)]
+        begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
+        parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
         return Scores(
             np.concatenate([p.variants for p in parts], axis=1),
             np.concatenate([p.ratio for p in parts], axis=1),

@@ -17,6 +17,7 @@ from bench.analysis.diagnosis.noise_grid import RATIOS, NoiseGrid, make_noise_gr
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, predicted_error
 from bench.analysis.diagnosis.threshold import Threshold
 from bench.base.arrays import Floats, Mask
+from bench.base.progress import tracked
 
 SURE: Final = 2.0
 """Beyond the size that half of the searches find, in units of noise: so large is found nearly always."""
@@ -151,7 +152,7 @@ def measure_gap(
     ratios = near_ratios(linear, noise)
     shown = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     folds = []
-    for label, held in folds_of(linear):
+    for label, held in tracked(list(folds_of(linear)), "readings held out in turn"):
         train = ~held
         part = restrict(linear, train)
         kept = Candidates(candidates.columns[train], candidates.kinds, candidates.scale, candidates.variants)

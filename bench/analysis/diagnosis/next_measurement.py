@@ -20,6 +20,7 @@ from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.planned import following, reads_inputs
 from bench.analysis.diagnosis.result import Diagnosis
 from bench.analysis.diagnosis.separation import ReadingDesign, form_of, forms_everywhere, forms_of
+from bench.base.progress import tracked
 from bench.files.bench.file import BenchFile
 from bench.files.shipped import PROCEDURES, shipped_folder
 from bench.model import CATALOGUE, STAND_ANGLES
@@ -233,7 +234,7 @@ class _Bill:
             if name in sought and (name in diagnosis.hidden or size > BLIND)
         ]
         bills = []
-        for path, plan in self.plans.items():
+        for path, plan in tracked(list(self.plans.items()), "what to measure next"):
             design = ReadingDesign(self._linear(plan), diagnosis.noise, self._forms)
             shown = [n for n in blind if design.visible(forms_everywhere(n)) >= SHOWN]
             if shown:

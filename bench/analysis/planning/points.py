@@ -28,6 +28,7 @@ from bench.analysis.planning.exchange import (
 from bench.analysis.planning.goals import Goal, worst
 from bench.analysis.planning.settings import Cost, Setting, conditions_of
 from bench.base.arrays import HOUR, Floats
+from bench.base.progress import tracked
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mounting
 
 _ROUNDS: Final = 4
@@ -230,7 +231,7 @@ def _cheapest(
     sites: Sites, goals: Sequence[Goal], cost: Cost, most_settings: int, most_mounts: int
 ) -> _Found | None:
     best: tuple[float, _Found] | None = None
-    for chosen in sites.choices(most_mounts):
+    for chosen in tracked(list(sites.choices(most_mounts)), "choices of mountings"):
         left = most_settings
         if best is not None:
             left = min(left, cost.settings_within(best[0], len(chosen)))
@@ -251,7 +252,7 @@ def best_within(
     """
     best: tuple[float, _Found] | None = None
     least_s = math.inf
-    for chosen in sites.choices(most_mounts):
+    for chosen in tracked(list(sites.choices(most_mounts)), "choices of mountings"):
         candidates = sites.candidates(chosen)
         whole = ExchangeDesign(candidates, goals)
         if not whole.determines:

@@ -14,6 +14,7 @@ from bench.analysis.budget.coefficients import Budget
 from bench.analysis.budget.exact import ExactResult
 from bench.analysis.budget.propagation import coverage_factor
 from bench.base.arrays import Floats
+from bench.base.progress import quiet
 from bench.base.tables import table
 from bench.model.block import COEFFICIENTS
 
@@ -30,7 +31,8 @@ def print_budget(head: Mapping[str, Any], found: Assessment, out: Console) -> No
     if found.exact is not None:
         _print_exact(out, found.exact)
     for note in found.notes:
-        out.print(f"note: {note}")
+        if not quiet.get():
+            out.print(f"note: {note}")
 
 
 def headline(head: Mapping[str, Any], found: Assessment) -> str:

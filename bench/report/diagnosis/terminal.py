@@ -13,6 +13,7 @@ from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import quantity, typeset
+from bench.base.progress import quiet
 from bench.model import CATALOGUE
 from bench.report.diagnosis import words
 
@@ -70,7 +71,8 @@ def print_several(results: Sequence[FullDiagnosis], out: Console) -> None:
 
 def _notes(full: FullDiagnosis, lead: str, out: Console) -> None:
     for note in full.diagnosis.notes:
-        out.print(f"note: {lead}{note}")
+        if not quiet.get():
+            out.print(f"note: {lead}{note}")
     for row in full.skipped_rows:
         out.print(f"left out: {row}")
 
