@@ -18,6 +18,7 @@ def commission_bench(
     """
     from bench.api.commissioning import PAGE, Setting, commission, free_folder
     from bench.api.source import bench_path
+    from bench.commission.evening import WISHES
     from bench.files.bench.file import load_bench
     from bench.report.commissioning import VERDICTS
     from bench.run.terminal import TerminalPerson
@@ -37,7 +38,7 @@ def commission_bench(
         f"commissioning of {file.name} ({path}), {'SIMULATED' if dry_run else 'on the bench'}; type :skip REASON "
         "at a question to leave something out, :abort to end; Ctrl-C leaves the bench safe"
     )
-    person = None if dry_run else TerminalPerson(sys.stdin, console)
+    person = None if dry_run else TerminalPerson(sys.stdin, console, wishes=WISHES)
     result = commission(Setting(file, path, folder, person, seed, console.print))
     printing.write_json([result], target)
     for name, what in result["to_do"].items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +11,7 @@ from bench.commission import chambers, heads, meters
 from bench.commission.cables import check_cables
 from bench.commission.evening import Evening, Skipped
 from bench.commission.finding import Finding, State
+from bench.run.same_serial import same_serials
 from drivers.interfaces import Instrument
 
 IDENTITY: Final = "identity"
@@ -48,15 +48,10 @@ def _who(evening: Evening, instrument: Instrument) -> Finding:
 
 
 def _tell_twins(evening: Evening) -> None:
-    """Say which voltmeters have one serial number: two addresses may lead to one instrument."""
-    known = [evening.identities.get(meter.name) for meter in evening.instruments.voltmeters]
-    count = Counter(identity.serial for identity in known if identity is not None and identity.serial)
-    for meter in evening.instruments.voltmeters:
-        identity = evening.identities.get(meter.name)
-        if identity is not None and count[identity.serial] > 1:
-            said = f"has the serial number {identity.serial}, as another voltmeter has"
-            remedy = "check the addresses in the bench file: two may lead to one instrument"
-            evening.note(Finding(IDENTITY, meter.name, State.OTHER, said, remedy=remedy))
+    """Say which voltmeters state one serial number."""
+    for words in same_serials(evening.identities):
+        remedy = "compare the serial numbers with those on the instruments, and correct the addresses"
+        evening.note(Finding(IDENTITY, BENCH, State.OTHER, words, remedy=remedy))
 
 
 PARTS: Final = (

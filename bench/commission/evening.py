@@ -34,6 +34,11 @@ from drivers.interfaces import (
     PromptKind,
 )
 
+WISHES: Final = {
+    Wish.SKIP: "leave this out; the reason goes into the page",
+    Wish.ABORT: "end here; the bench is left safe and the page written",
+}
+"""What may be typed at any question, and what it does."""
 ONLY_THESE: Final = "Here only :skip REASON and :abort are heard. "
 MOST_LOSSES: Final = 2
 """An instrument that was lost in so many checks is not tried any more: each costs its timeouts."""
