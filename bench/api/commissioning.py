@@ -21,6 +21,7 @@ from bench.commission.finding import status_of
 from bench.files.bench.file import BenchFile
 from bench.report.commissioning import render_commissioning
 from bench.run.signals import Interrupts
+from bench.run.way_out import leave_safe
 from drivers.clock import utc_now
 from drivers.interfaces import Person
 from drivers.wire.log import logged_wire
@@ -63,15 +64,15 @@ def commission(setting: Setting) -> dict[str, Any]:
         entered: AbstractContextManager[Evening]
         if setting.person is None:
             truth = simulated_truth(setting.file, None)
-            entered = dry_evening(setting.file, truth, setting.seed, log)
+            entered = dry_evening(setting.file, truth, setting.seed, log, interrupts.haste)
         else:
-            entered = nullcontext(real_evening(setting.file, setting.person, log))
+            entered = nullcontext(real_evening(setting.file, setting.person, log, interrupts.haste))
         with entered as evening:
             evening.tell = setting.tell
             begun_s = evening.clock.now_s()
-            ended = _gone_through(evening)
+            ended = _gone_through(evening, interrupts)
             took_s = evening.clock.now_s() - begun_s
-            to_do = _left_safe(evening, interrupts)
+            to_do = leave_safe(evening.instruments, None)
         result = _result(setting, evening, began, took_s, ended, to_do)
         try:
             write_whole(setting.folder / RESULT, to_text(result))
@@ -97,10 +98,16 @@ def _take(folder: Path) -> None:
         ) from error
 
 
-def _gone_through(evening: Evening) -> str:
-    """Go through the evening; return why it ended before its end, "" where it did not."""
+def _gone_through(evening: Evening, interrupts: Interrupts) -> str:
+    """Go through the evening; return why it ended before its end, "" where it did not.
+
+    From its end on no signal raises anything: the bench is left safe and the page written.
+    """
     try:
-        go_through(evening)
+        try:
+            go_through(evening)
+        finally:
+            interrupts.hold()
     except Ended as why:
         return str(why)
     except KeyboardInterrupt:
@@ -108,17 +115,6 @@ def _gone_through(evening: Evening) -> str:
     except Exception as error:  # a mistake of the program must not keep the page from being written
         return f"the program failed with {type(error).__name__} ({error})"
     return ""
-
-
-def _left_safe(evening: Evening, interrupts: Interrupts) -> dict[str, str]:
-    """Leave the bench safe, undisturbed by a signal; return what a person must still do."""
-    to_do: dict[str, str] = {}
-    try:
-        with interrupts.shield():
-            to_do = evening.instruments.leave_safe()
-    except KeyboardInterrupt:
-        evening.tell("stopped; the bench is safe")
-    return to_do
 
 
 def _result(

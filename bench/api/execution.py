@@ -18,12 +18,14 @@ from bench.api.provenance import versions
 from bench.api.source import bench_path
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
+from bench.devices.chambers import ControlledChamberForm
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Read
+from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.control import ControlFile
 from bench.run.events import EventType
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
@@ -31,11 +33,14 @@ from bench.run.log import RunLog
 from bench.run.record import History, Manifest, Record, RecordError, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner, Watch
+from bench.run.signals import Interrupts
 from bench.run.states import ENDED
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.watch.early_warning import EarlyWarning
+from bench.run.way_out import with_notes
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
+from drivers.wire.haste import Haste
 from drivers.wire.log import WireLog
 
 
@@ -179,8 +184,19 @@ def _waits(run: Run) -> bool:
     return waits and not is_being_written(run.folder)
 
 
-def carry_out(run: Run, record: Record, history: History | None, wire: WireLog | None, out: Console) -> None:
-    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed."""
+def carry_out(
+    run: Run,
+    record: Record,
+    history: History | None,
+    wire: WireLog | None,
+    out: Console,
+    interrupts: Interrupts | None = None,
+) -> None:
+    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed.
+
+    `interrupts` hears the signals meanwhile.
+    """
+    signals = interrupts or Interrupts()
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
@@ -194,7 +210,7 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
         )
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
-        with _assembly(run, bench, history, wire, out) as (assembly, bar):
+        with _assembly(run, bench, history, wire, out, signals.haste) as (assembly, bar):
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -212,21 +228,30 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
                     bench.unit_under_test.temperature.maximum,
                 ),
                 least_samples=bench.least_samples,
+                slow_chamber_s=_slow_chamber_s(bench),
                 on_settling=bar.settling,
+                hold_signals=signals.hold,
             ).run(resume)
     except RunAborted as why:
-        raise Refused(f"aborted{': ' if str(why) else ''}{why}; {_recorded(run)}") from None
-    except KeyboardInterrupt:
-        raise Refused(f"interrupted; {_kept(run)}") from None
+        raise Refused(f"aborted{': ' if str(why) else ''}{with_notes(why)}; {_recorded(run)}") from None
+    except KeyboardInterrupt as stop:
+        raise Refused(
+            f"interrupted; {with_notes(stop)}{'; ' if with_notes(stop) else ''}{_kept(run)}"
+        ) from None
     except (BenchError, RecordError) as error:
-        raise Refused(f"{error}; {_kept(run)}") from error
+        raise Refused(f"{with_notes(error)}; {_kept(run)}") from error
     finally:
         record.close()
 
 
+def _slow_chamber_s(bench: BenchFile) -> float:
+    chamber = bench.instruments.chamber
+    return chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S
+
+
 @contextmanager
 def _assembly(
-    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console
+    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console, haste: Haste
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
     """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
     bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
@@ -236,10 +261,10 @@ def _assembly(
             seed = run.manifest["seed"] or 0
             model = run.folder / MODEL
             truth = simulated_truth(bench, model if model.is_file() else None)
-            with dry_bench(bench, truth, seed, wire, plan=run.plan, taken=taken) as assembly:
+            with dry_bench(bench, truth, seed, wire, haste, plan=run.plan, taken=taken) as assembly:
                 yield assembly, bar
         else:
-            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire), bar
+            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire, haste), bar
 
 
 def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:

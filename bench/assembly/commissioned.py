@@ -14,6 +14,7 @@ from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
 from drivers.clock import SystemClock
 from drivers.interfaces import Answer, BenchError, Person, Prompt
+from drivers.wire.haste import Haste
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
 
@@ -46,23 +47,25 @@ class ScriptedHand:
             raise BenchError("simulation", str(reply.get("error")), "start again")
 
 
-def real_evening(file: BenchFile, person: Person, log: Wire | None) -> Evening:
-    """Return an evening on the bench of a bench file; nothing is opened yet."""
+def real_evening(file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None) -> Evening:
+    """Return an evening on the bench of a bench file; nothing is opened yet. `haste` cuts waiting short."""
     watch, heard = WireWatch(log), Listening(person)
-    assembly = real_bench(file, heard, watch)
+    assembly = real_bench(file, heard, watch, haste)
     watch.time_s = assembly.clock.now_s
     return _evening(file, assembly, heard, watch)
 
 
 @contextmanager
-def dry_evening(file: BenchFile, model: ForwardModel, seed: int, log: Wire | None) -> Iterator[Evening]:
+def dry_evening(
+    file: BenchFile, model: ForwardModel, seed: int, log: Wire | None, haste: Haste | None = None
+) -> Iterator[Evening]:
     """Yield an evening on the simulated bench of a bench file, with its scripted person.
 
     Time is that of its clock, and what the wires take on the computer on top of that: a fault that makes an
     answer late does so in the computer's time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
-    with dry_bench(file, model, seed, watch) as assembly:
+    with dry_bench(file, model, seed, watch, haste) as assembly:
         simulated, clock, computer = assembly.simulated, assembly.clock, SystemClock()
         if simulated is None:
             raise BenchError("simulation", "there is no simulated bench", "start again")

@@ -17,6 +17,7 @@ from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
 from drivers.interfaces import BenchError, Person
 from drivers.motion import Travel
+from drivers.wire.haste import Haste
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 
 Section = VoltmeterForm | HeadForm | ChamberForm
@@ -26,8 +27,9 @@ Section = VoltmeterForm | HeadForm | ChamberForm
 class Surroundings:
     """What drivers are given beside their own section.
 
-    `resources` has by name the resources that are taken in place of those in the bench file; `sessions` takes
-    up the sessions that are made, by the names of their instruments.
+    `resources` has by name the resources that are taken in place of those in the bench file; `haste` tells
+    when instruments that do not answer are waited for no longer; `sessions` takes up the sessions that are made,
+    by the names of their instruments.
     """
 
     person: Person
@@ -35,6 +37,7 @@ class Surroundings:
     line_hz: float
     wire: Wire | None = None
     resources: Mapping[str, str] | None = None
+    haste: Haste | None = None
     sessions: dict[str, MessageSession] = field(default_factory=dict)
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
@@ -48,6 +51,7 @@ class Surroundings:
             write_termination=port.write_termination,
             serial=None if port.serial is None else SerialSettings(**port.serial),
             wire=self.wire,
+            haste=self.haste,
         )
         return self.sessions[name]
 

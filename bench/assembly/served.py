@@ -37,6 +37,7 @@ from bench.run.runner import Observer
 from bench.run.workbench import Instruments
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Person, Voltmeter
+from drivers.wire.haste import Haste
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
@@ -64,10 +65,12 @@ class Assembly:
     simulated: SimulatedBench | None = None
 
 
-def real_bench(bench: BenchFile, person: Person, wire: Wire | None = None) -> Assembly:
+def real_bench(
+    bench: BenchFile, person: Person, wire: Wire | None = None, haste: Haste | None = None
+) -> Assembly:
     """Put the bench of a bench file together; nothing is opened yet."""
     clock = SystemClock()
-    given = Surroundings(person, clock, bench.line_frequency, wire)
+    given = Surroundings(person, clock, bench.line_frequency, wire, haste=haste)
     return Assembly(instruments_of(bench, given), person, clock, sessions=given.sessions)
 
 
@@ -77,6 +80,7 @@ def dry_bench(
     model: ForwardModel,
     seed: int,
     wire: Wire | None = None,
+    haste: Haste | None = None,
     *,
     plan: Plan | None = None,
     taken: Sequence[Reading] = (),
@@ -107,7 +111,9 @@ def dry_bench(
     terminals = on_terminals(bench) if TERMINALS else ()
     with _simulated(bench, world, with_terminals=terminals) as simulated:
         ports = {name: simulated.terminals[name].resource for name in terminals}
-        given = Surroundings(operator, clock, bench.line_frequency, wire, simulated.resources | ports)
+        given = Surroundings(
+            operator, clock, bench.line_frequency, wire, simulated.resources | ports, haste=haste
+        )
         instruments = instruments_of(bench, given)
         _recall(world, taken)
         yield Assembly(

@@ -37,7 +37,7 @@ def resume(
         record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
         if history.torn:
             printing.notes_aside(["the last line of the record was half written and is dropped"])
-        carry_out(found, record, history, wire, printing.console(json=json))
+        carry_out(found, record, history, wire, printing.console(json=json), interrupts)
     return conclude(Run(found.folder), json)
 
 

@@ -79,7 +79,7 @@ def run(
         printing.notes_aside(new.notes)
         with logged_wire(wire_log) as wire, Interrupts() as interrupts:
             record = new.record(interrupts.shield)
-            carry_out(Run(new.folder), record, None, wire, printing.console(json=json))
+            carry_out(Run(new.folder), record, None, wire, printing.console(json=json), interrupts)
         done = Run(new.folder)
         return done, conclude(done, json)
 

@@ -72,7 +72,7 @@ def _serve(
     *,
     with_terminals: bool,
 ) -> int:
-    """Serve until Ctrl-C or SIGTERM, then end with 0.
+    """Serve until Ctrl-C, SIGTERM or the end of the terminal, then end with 0.
 
     Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
     """
@@ -175,13 +175,15 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
-    """Yield what Ctrl-C and SIGTERM set in place of ending the program."""
+    """Yield what Ctrl-C, SIGTERM and a closed terminal set in place of ending the program."""
+    from bench.run.signals import SIGNALS
+
     ended = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
         ended.set()
 
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, end) for number in SIGNALS}
     try:
         yield ended
     finally:

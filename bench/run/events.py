@@ -121,6 +121,8 @@ class EventType(StrEnum):
     """`words`, a sentence: instruments that state one serial number."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
+    CHAMBER_SLOW = "chamber_slow"
+    """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
 

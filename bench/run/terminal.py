@@ -218,6 +218,11 @@ def sentence(event: Event) -> str:
             return f"failed, tried again: {data['error']}"
         case EventType.WISH_REFUSED:
             return f"{data['wish']} is not possible: {data['why']}"
+        case EventType.CHAMBER_SLOW:
+            return (
+                f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
+                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
+            )
         case EventType.LEFT_SAFE:
             return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
     return event.type
