@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -123,7 +124,6 @@ def test_a_folder_that_holds_one_is_refused(path, well) -> None:
     (well[0] / "file").unlink()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("text", ["Part 1 ", "short their inputs", "half way", "Pull the cable of head"])
 def test_ctrl_c_leaves_all_safe_and_writes_the_page(path: Path, tmp_path: Path, text: str) -> None:
     with asking(lambda scripted: Interrupting(scripted, text, KeyboardInterrupt())) as seen:
@@ -132,6 +132,24 @@ def test_ctrl_c_leaves_all_safe_and_writes_the_page(path: Path, tmp_path: Path, 
     assert "stopped by a signal" in (tmp_path / "out" / PAGE).read_text(encoding="utf-8")
     (evening,) = seen
     assert all(number() is None for number in evening.connections.values())
+
+
+def test_a_signal_on_the_way_out_changes_nothing(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leave_safe = command.leave_safe
+    left = []
+
+    def disturbed(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        left.append(leave_safe(*arguments))
+        signal.raise_signal(signal.SIGINT)
+        return left[0]
+
+    monkeypatch.setattr(command, "leave_safe", disturbed)
+    result = carried_out(path, tmp_path / "out")
+    assert (result["status"], left) == (0, [{}])
+    assert (tmp_path / "out" / PAGE).is_file()
 
 
 def test_abort_and_a_mistake_of_the_program_write_the_page_too(path: Path, tmp_path: Path) -> None:
@@ -146,7 +164,6 @@ def test_abort_and_a_mistake_of_the_program_write_the_page_too(path: Path, tmp_p
         assert said in (out / PAGE).read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 def test_what_is_skipped_stands_on_the_page_with_its_reason(path: Path, tmp_path: Path) -> None:
     wish = OperatorWish(RunControl(Wish.SKIP, "no <shorts> here"))
     with asking(lambda scripted: Interrupting(scripted, "short their inputs", wish)):
@@ -159,7 +176,6 @@ def test_what_is_skipped_stands_on_the_page_with_its_reason(path: Path, tmp_path
     assert "1 skipped" in page
 
 
-@pytest.mark.slow
 def test_inputs_that_nobody_shorted_are_told(path: Path, tmp_path: Path) -> None:
     class Lazy:
         def __init__(self, scripted: Person) -> None:

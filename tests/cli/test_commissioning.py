@@ -48,7 +48,6 @@ def test_options_that_do_not_go_together_are_refused(call, arguments, said):
     assert (status, said in err) == (2, True)
 
 
-@pytest.mark.slow
 def test_a_dry_run_prints_what_it_finds_and_where_the_page_is(call):
     status, out, err = call("--commission", "--dry-run", "--bench", "bench-lan")
     assert (status, err) == (0, "")
@@ -57,7 +56,6 @@ def test_a_dry_run_prints_what_it_finds_and_where_the_page_is(call):
     assert f"page: {folder.name}/commissioning.html" in out.replace("\\", "/")
 
 
-@pytest.mark.slow
 def test_json_alone_goes_to_standard_output_and_a_fault_decides_the_status(call):
     from bench.files.shipped import find_bench
 
