@@ -6,10 +6,11 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Final
 
 from rich.console import Console
 
@@ -27,10 +28,12 @@ from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Read
 from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.control import ControlFile
-from bench.run.events import EventType
+from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
+from bench.run.history import History, read_history
 from bench.run.log import RunLog
-from bench.run.record import History, Manifest, Record, RecordError, is_being_written
+from bench.run.manifest import Manifest, RecordError
+from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner, Watch
 from bench.run.signals import Interrupts
@@ -42,6 +45,9 @@ from drivers.clock import utc_now
 from drivers.interfaces import BenchError
 from drivers.wire.haste import Haste
 from drivers.wire.log import WireLog
+
+MOST_RECALLED: Final = 500
+"""So many of the last readings of a resumed run teach the early warning what to expect; more teach it little."""
 
 
 @dataclass(frozen=True)
@@ -163,22 +169,33 @@ def _free_name(procedure: str, runs: Path) -> str:
 def unfinished_run(name: str | None, runs: Path) -> Run:
     """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another."""
     if name is None:
-        waiting = [run for run in all_runs(runs) if _waits(run)]
+        digests = Digests(runs)
+        waiting = [run for run in all_runs(runs) if _waits(run, digests)]
+        digests.save()
         if not waiting:
             raise Refused(f"{runs}: no unfinished run there")
         return waiting[-1]
     found = find_run(name, runs)
     if found.imported:
         raise Refused(f"{found.name}: was imported from a readings file; there is nothing to go on with")
-    if found.history.state in ENDED:
-        raise Refused(f"{found.name}: nothing to do, the run is {found.history.state}")
     return found
 
 
-def _waits(run: Run) -> bool:
+def taken_up(
+    run: Run, shield: Callable[[], AbstractContextManager[None]] = nullcontext
+) -> tuple[Record, History]:
+    """Open a run to go on with it. Raises `Refused` for one that has ended, `RecordError` as `Record.reopen`."""
+    record, history = Record.reopen(run.folder, utc_now, shield)
+    if history.state in ENDED:
+        record.close()
+        raise Refused(f"{run.name}: nothing to do, the run is {history.state}")
+    return record, history
+
+
+def _waits(run: Run, digests: Digests) -> bool:
     """Whether a run was begun here, has not ended, and nobody is carrying it out."""
     try:
-        waits = not run.imported and run.history.state not in ENDED
+        waits = not run.imported and digests.of(run).state not in ENDED
     except (RecordError, ValueError):
         return False
     return waits and not is_being_written(run.folder)
@@ -257,7 +274,7 @@ def _assembly(
     bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
     with bar:
         if run.simulated:
-            taken = [event.reading for event in (history.events if history else ()) if event.reading]
+            taken = [one[1] for one in (history.taken if history else ()) if one is not None]
             seed = run.manifest["seed"] or 0
             model = run.folder / MODEL
             truth = simulated_truth(bench, model if model.is_file() else None)
@@ -268,7 +285,7 @@ def _assembly(
 
 
 def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
-    """Compare each reading with what the model expects from those before it, recorded ones included."""
+    """Compare each reading with what the model expects from those before it, the last on record included."""
     readings = sum(isinstance(step, Read) for step in run.plan.steps)
     warning = EarlyWarning(
         bench.unit_under_test.scale_factors.values,
@@ -277,11 +294,11 @@ def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
         readings=readings,
     )
 
-    for event in history.events if history else ():
-        if event.type == EventType.REMOUNTED:
+    for taken in history.taken[-MOST_RECALLED:] if history else ():
+        if taken is None:
             warning.remounted()
-        if (reading := event.reading) is not None:
-            warning.take(reading)
+        else:
+            warning.take(taken[1])
     return warning.take
 
 
@@ -303,7 +320,7 @@ def _elapsed_s(history: History) -> float:
 
 
 def _recorded(run: Run) -> str:
-    done = sum(event.reading is not None for event in Run(run.folder).history.events)
+    done = sum(taken is not None for taken in read_history(run.folder).taken)
     return f"{done} readings are kept in {run.folder}"
 
 

@@ -48,10 +48,7 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 def _identities(source: Source) -> dict[str, str]:
-    """Identities of the instruments as they answered, from the run's first event."""
+    """Identities of the instruments as they answered when the run was begun."""
     if source.run is None:
         return {}
-    for event in source.run.history.events:
-        if event.type in {"run_started", "run_resumed"}:
-            return {name: str(identity) for name, identity in event.data.get("instruments", {}).items()}
-    return {}
+    return {name: str(identity) for name, identity in source.run.history.identities.items()}

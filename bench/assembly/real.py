@@ -18,6 +18,7 @@ from drivers.clock import Clock
 from drivers.interfaces import BenchError, Person
 from drivers.motion import Travel
 from drivers.wire.haste import Haste
+from drivers.wire.holding import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 
 Section = VoltmeterForm | HeadForm | ChamberForm
@@ -28,8 +29,8 @@ class Surroundings:
     """What drivers are given beside their own section.
 
     `resources` has by name the resources that are taken in place of those in the bench file; `haste` tells
-    when instruments that do not answer are waited for no longer; `sessions` takes up the sessions that are made,
-    by the names of their instruments.
+    when instruments that do not answer are waited for no longer. What is opened is held by `holding`; `sessions`
+    takes up the sessions that are made, by the names of their instruments.
     """
 
     person: Person
@@ -38,6 +39,7 @@ class Surroundings:
     wire: Wire | None = None
     resources: Mapping[str, str] | None = None
     haste: Haste | None = None
+    holding: Holding | None = None
     sessions: dict[str, MessageSession] = field(default_factory=dict)
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
@@ -52,6 +54,7 @@ class Surroundings:
             serial=None if port.serial is None else SerialSettings(**port.serial),
             wire=self.wire,
             haste=self.haste,
+            holding=self.holding,
         )
         return self.sessions[name]
 

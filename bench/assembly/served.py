@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Final
 
 from bench.assembly.real import Surroundings, instruments_of
 from bench.assembly.simulated import (
@@ -26,6 +27,7 @@ from bench.assembly.simulated import (
     simulated_instruments,
     world_of,
 )
+from bench.base.cache import cache_folder
 from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
 from bench.procedure.plan import Plan, Read
@@ -38,6 +40,7 @@ from bench.run.workbench import Instruments
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Person, Voltmeter
 from drivers.wire.haste import Haste
+from drivers.wire.holding import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
@@ -47,6 +50,9 @@ from sim.wires.session import ServedInstrument as Wired
 from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.operator import ScriptedOperator
 from sim.world.world import World
+
+HELD: Final = "instruments"
+"""The part of the cache folder in which a program holds the instruments that it has opened."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +74,16 @@ class Assembly:
 def real_bench(
     bench: BenchFile, person: Person, wire: Wire | None = None, haste: Haste | None = None
 ) -> Assembly:
-    """Put the bench of a bench file together; nothing is opened yet."""
+    """Put the bench of a bench file together; nothing is opened yet, and what is opened is held."""
     clock = SystemClock()
-    given = Surroundings(person, clock, bench.line_frequency, wire, haste=haste)
+    given = Surroundings(
+        person,
+        clock,
+        bench.line_frequency,
+        wire,
+        haste=haste,
+        holding=Holding(cache_folder(HELD)),
+    )
     return Assembly(instruments_of(bench, given), person, clock, sessions=given.sessions)
 
 

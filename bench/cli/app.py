@@ -97,7 +97,7 @@ def expected(error: Exception) -> bool:
     from bench.analysis.calibration import CalibrationError
     from bench.files.bench.file import FileMistakes
     from bench.readings.csv import ReadingsError
-    from bench.run.record import RecordError
+    from bench.run.manifest import RecordError
     from drivers.interfaces import BenchError
 
     kinds: tuple[Any, ...] = (

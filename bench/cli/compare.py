@@ -75,7 +75,7 @@ def _snapshots(name: str, request: Request) -> list[Snapshot]:
     from bench.analysis.history.comparison import Snapshot
     from bench.api.calibration import calibration_of
     from bench.api.source import load_sources
-    from bench.run.record import MANIFEST
+    from bench.run.manifest import MANIFEST
 
     path = Path(name)
     if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:

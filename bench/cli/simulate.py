@@ -88,6 +88,7 @@ def _serve(
     file = load_bench(bench_path(bench))
     with (
         _ended_by_signal() as ended,
+        _held(host, port),
         served_bench(
             file,
             simulated_truth(file, model),
@@ -145,6 +146,24 @@ def _show(bench: BenchFile, serving: Serving) -> None:
         out.print(f"{' and '.join(by_hand)}: without a wire of its own, set through the control")
     out.print(f"control: bench simulate --control {serving.control} 'turn 45 deg' ('help' lists all)")
     out.print("serving until Ctrl-C")
+
+
+@contextmanager
+def _held(host: str, port: int | None) -> Iterator[None]:
+    """Hold the first of the ports that were chosen: who would serve there as well is told who does."""
+    from bench.assembly.served import HELD
+    from bench.base.cache import cache_folder
+    from drivers.wire.holding import Holding
+
+    if not port:
+        yield
+        return
+    holding, place = Holding(cache_folder(HELD)), f"{host}:{port}"
+    holding.take("simulation", f"serving {place}", called=place)
+    try:
+        yield
+    finally:
+        holding.release(f"serving {place}")
 
 
 @contextmanager

@@ -195,7 +195,8 @@ class Evening:
             self._lose(error.instrument)
             return self._of_error(check, name, State.COULD_NOT, error)
         except (InstrumentRefused, BadReading, LimitExceeded) as error:
-            return self._of_error(check, name, State.OTHER, error)
+            not_opened = opened and any(one.name not in self.identities for one in taking_part)
+            return self._of_error(check, name, State.COULD_NOT if not_opened else State.OTHER, error)
         except BenchError as error:
             return self._of_error(check, name, State.COULD_NOT, error)
         except Exception as error:  # one driver's mistake must not hide what the others show

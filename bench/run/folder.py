@@ -11,7 +11,8 @@ from pathlib import Path
 from bench.procedure.plan import Plan, Read
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
-from bench.run.record import MANIFEST, History, Manifest, RecordError, read_history, read_manifest
+from bench.run.history import History, read_history
+from bench.run.manifest import MANIFEST, Manifest, RecordError, read_manifest
 
 PLAN = "plan.json"
 BENCH = "bench.yaml"

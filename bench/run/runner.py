@@ -18,8 +18,9 @@ from bench.readings.reading import Reading
 from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
+from bench.run.manifest import RecordError
 from bench.run.prompts import agree, confirm
-from bench.run.record import Record, RecordError
+from bench.run.record import Record
 from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
 from bench.run.same_serial import same_serials
 from bench.run.settling import Settling

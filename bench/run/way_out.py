@@ -12,12 +12,15 @@ from drivers.interfaces import BenchError, Instrument, ThermalChamber
 def leave_safe(instruments: Instruments, demanded_c: float | None) -> dict[str, str]:
     """Set the chamber to its safe setting, close everything (a head stops, a meter goes to local).
 
-    `demanded_c` is what the chamber was last sent to, None where it was not. Returns what a person must still
+    A chamber that was not opened is another program's, or as it was before: it is left so. `demanded_c` is what
+    the chamber was last sent to, None where it was not. Returns what a person must still
     do, by instrument.
     """
     to_do = {}
-    if instruments.chamber is not None and (note := _standby(instruments.chamber, demanded_c)):
-        to_do[instruments.chamber.name] = note
+    chamber = instruments.chamber
+    opened = chamber is not None and chamber.name in instruments.opened
+    if chamber is not None and opened and (note := _standby(chamber, demanded_c)):
+        to_do[chamber.name] = note
     for instrument in instruments.all():
         if trouble := _closed(instrument):
             to_do[instrument.name] = "; ".join(filter(None, (to_do.get(instrument.name), trouble)))

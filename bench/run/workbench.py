@@ -54,11 +54,15 @@ QUICK_NPLC: Final = 1.0
 
 @dataclass(frozen=True)
 class Instruments:
-    """The bench as the runner sees it. Together the voltmeters carry the channels x, y, z once each."""
+    """The bench as the runner sees it. Together the voltmeters carry the channels x, y, z once each.
+
+    `opened` are the names of those that were opened: another one may be somebody else's.
+    """
 
     voltmeters: Sequence[Voltmeter]
     head: DividingHead
     chamber: ThermalChamber | None = None
+    opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
@@ -71,6 +75,7 @@ class Instruments:
         for instrument in self.all():
             try:
                 identities[instrument.name] = instrument.open()
+                self.opened.add(instrument.name)
             except BenchError as error:
                 failures.append(error)
         if failures:

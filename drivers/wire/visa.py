@@ -16,6 +16,7 @@ from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
 from drivers.wire.causes import probable_cause
 from drivers.wire.haste import Haste
+from drivers.wire.holding import Holding
 from drivers.wire.prologix import SCHEME, AdapterConnection
 from drivers.wire.pyvisa_connection import Connection, SerialSettings
 
@@ -44,7 +45,7 @@ class MessageSession:
     `name` is the instrument's name on the bench, `resource` a VISA resource string, or for an instrument
     behind a GPIB adapter one such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` hold
     for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves.
-    In `haste` no reply is waited for longer than that allows.
+    In `haste` no reply is waited for longer than that allows. While it is open it is held by `holding`.
     Safe to use from several threads; give one resource to one session only.
     """
 
@@ -59,6 +60,7 @@ class MessageSession:
         serial: SerialSettings | None = None,
         wire: Wire | None = None,
         haste: Haste | None = None,
+        holding: Holding | None = None,
     ) -> None:
         self.name = name
         self.resource = resource
@@ -68,6 +70,8 @@ class MessageSession:
         self._write_termination = write_termination
         self._wire = wire
         self._haste = haste or Haste()
+        self._holding = holding
+        self._holds = False
         self._lock = threading.RLock()
         self._clock: Clock = SystemClock()
         self._wanted = False
@@ -86,9 +90,12 @@ class MessageSession:
     def open(self) -> None:
         """Connect and prove that somebody is there; nothing is done when connected already.
 
-        Raises `InstrumentLost`.
+        Raises `InstrumentLost`, `InstrumentRefused` where another program holds the instrument.
         """
         with self._lock:
+            if self._holding is not None and not self._holds:
+                self._holding.take(self.name, self.resource)
+                self._holds = True
             self._wanted = True
             if self._connection is not None and not self._stands():
                 self._give_up()
@@ -106,9 +113,15 @@ class MessageSession:
             locked = self._lock.acquire(timeout=self.timeout_s)
         try:
             self._drop()
+            self._let_go()
         finally:
             if locked:
                 self._lock.release()
+
+    def _let_go(self) -> None:
+        held, self._holds = self._holds, False
+        if held and self._holding is not None:
+            self._holding.release(self.resource)
 
     def write(self, command: str) -> None:
         """Send a command that has no reply.

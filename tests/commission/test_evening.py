@@ -56,6 +56,15 @@ def test_whatever_a_check_raises_becomes_its_finding(tonight, error, state, said
     assert found.remedy or state is State.SKIPPED
 
 
+def test_what_refuses_to_be_opened_could_not_be_done(tonight, monkeypatch):
+    refusal = InstrumentRefused("head", "is held by another program", "end that")
+    monkeypatch.setattr(tonight.instruments.head, "open", raising(refusal))
+    for _ in range(3):
+        found = tonight.carry_out("check", tonight.instruments.head, lambda: works(tonight))
+        assert found.state is State.COULD_NOT
+    assert found.said == "not tried, it was lost before"
+
+
 def test_an_error_of_another_that_takes_part_is_told_of_that_one(tonight):
     x, y, _ = tonight.instruments.voltmeters
     found = tonight.carry_out("together", x, raising(lost("voltmeter.y")), also=[y])
