@@ -44,7 +44,8 @@ from sim.world.turning import HeadFault
 
 TIMEOUT_S: Final = 0.5
 LATE_PART: Final = 0.8
-LIMIT_S: Final = 60.0
+LIMIT_S: Final = 180.0
+"""An adapter whose every answer is late holds an evening up that long."""
 ONCE, LASTING = "once", "from then on"
 STUCK, BESIDE = "head stuck", "head beside"
 HEAD_FAULTS: Final = {STUCK: HeadFault(sticks_after_rad=0.0), BESIDE: HeadFault(stops_off_rad=600.0 * ARCSEC)}
@@ -52,8 +53,13 @@ PROOF: Final = frozenset(
     {FaultKind.ERROR, FaultKind.LOCAL, FaultKind.POWER_CYCLE, FaultKind.OVERLOAD, FaultKind.LATE}
 )
 """What may pass without a trace when it strikes once: errors are cleared, settings sent, nothing was sampled."""
-PROOF_FOR_GOOD: Final[dict[str, str]] = {FaultKind.LOCAL: "voltmeter", FaultKind.POWER_CYCLE: "chamber"}
-"""What may do so each time: only RS-232 knows a LOCAL key, and a chamber that was switched off stands by."""
+PROOF_FOR_GOOD: Final[dict[str, str]] = {
+    FaultKind.LOCAL: "voltmeter",
+    FaultKind.POWER_CYCLE: "chamber",
+    FaultKind.ERROR: "chamber",
+}
+"""What may do so each time: only RS-232 knows a LOCAL key, a chamber that was switched off stands by, and its
+driver reads each setting back in place of the errors in its queue."""
 
 
 @dataclass(frozen=True)
@@ -133,9 +139,10 @@ class Struck:
         self._armed = True
         kind = FaultKind(trial.kind)
         seconds = LATE_PART * TIMEOUT_S if kind is FaultKind.LATE else 0.0
-        when = {"at": 1} if trial.mode == ONCE else {"probability": 1.0}
+        at = 1 if trial.mode == ONCE else None
+        probability = 1.0 if at is None else None
         if self.bench is not None:
-            self.bench.arm(Fault(kind, seconds=seconds, instrument=trial.instrument, **when))  # type: ignore[arg-type]
+            self.bench.arm(Fault(kind, probability, at, seconds=seconds, instrument=trial.instrument))
 
     def told(self, line: str) -> None:
         """Take note of how many exchanges there were when the first cable is about to be pulled."""

@@ -18,6 +18,7 @@ def commission_bench(
     """
     from bench.api.commissioning import PAGE, Setting, commission, free_folder
     from bench.api.source import bench_path
+    from bench.base.visible import visible
     from bench.commission.evening import WISHES
     from bench.files.bench.file import load_bench
     from bench.report.commissioning import VERDICTS
@@ -39,7 +40,7 @@ def commission_bench(
         "at a question to leave something out, :abort to end; Ctrl-C leaves the bench safe"
     )
     person = None if dry_run else TerminalPerson(sys.stdin, console, wishes=WISHES)
-    result = commission(Setting(file, path, folder, person, seed, console.print))
+    result = commission(Setting(file, path, folder, person, seed, lambda line: console.print(visible(line))))
     printing.write_json([result], target)
     for name, what in result["to_do"].items():
         printing.aside(f"bench: still to do: {name}: {what}")

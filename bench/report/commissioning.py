@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from bench.report.template import page_template
+from bench.report.template import page
 
 VERDICTS: Final = {
     0: ("passed", "✓ All that was tried works as expected"),
@@ -19,7 +19,8 @@ def render_commissioning(result: Mapping[str, Any]) -> str:
     """Return the page; the same result gives the same text."""
     findings = result["findings"]
     look, word = VERDICTS[result["status"]]
-    return page_template("commissioning.html.j2").render(
+    return page(
+        "commissioning.html.j2",
         result=result,
         look=look,
         word=word,
