@@ -88,6 +88,8 @@ def new_run(
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
+    if re.search("[\ud800-\udfff]", operator):
+        raise Refused("--operator: this is not UTF-8 text; type the name again, or set the terminal to UTF-8")
     procedure_path, bench_file_path = find_procedure(procedure), bench_path(bench)
     loaded = load_procedure(procedure_path)
     plan = loaded.expand()

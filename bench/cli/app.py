@@ -11,6 +11,7 @@ import typer
 
 from bench.api.errors import Refused
 from bench.base import progress
+from bench.base.visible import visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 
@@ -107,5 +108,5 @@ def expected(error: Exception) -> bool:
 
 
 def _fail(text: str) -> int:
-    print(f"bench: {text}", file=sys.stderr)
+    print(f"bench: {visible(text)}", file=sys.stderr)
     return NOT_DONE

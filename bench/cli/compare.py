@@ -97,10 +97,10 @@ def _snapshots(name: str, request: Request) -> list[Snapshot]:
 
 
 def _from_json(path: Path) -> list[Snapshot]:
-    import json
+    from bench.base.whole import from_text
 
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = from_text(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:
@@ -115,7 +115,9 @@ def _from_result(data: Any, path: Path, number: int) -> Snapshot:
 
     name = f"{path}, result {number}" if number else str(path)
     found = coefficients_of(data, name)
-    block = data.get("unit_under_test") or {}
+    block = data.get("unit_under_test")
+    if not isinstance(block, dict):
+        block = {}
     return Snapshot(
         name,
         _date(data.get("made_at"), name),

@@ -48,7 +48,7 @@ class Run:
         """The plan that was, or is to be, carried out."""
         try:
             return Plan.from_json(json.loads((self.folder / PLAN).read_text(encoding="utf-8")))
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RecordError(
                 f"{self.folder / PLAN}: cannot be read ({error}); take it from a copy"
             ) from error

@@ -17,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.visible import in_json
 from bench.run.events import Event
 from bench.run.history import History, read_history
 from bench.run.manifest import EVENTS, FORMAT, MANIFEST, Manifest, RecordError, sha256
@@ -63,7 +64,7 @@ class Record:
             **manifest,
             "files": {name: sha256(content) for name, content in inputs.items()},
         }
-        text = json.dumps(manifest, indent=1, ensure_ascii=False).encode()
+        text = in_json(json.dumps(manifest, indent=1, ensure_ascii=False)).encode()
         try:
             _make_folder(folder, {**inputs, MANIFEST: text})
         except OSError as error:
@@ -112,7 +113,7 @@ class Record:
         self._check_place()
         event = Event(self._count + 1, self._now().isoformat(), bench_s, kind, data)
         whole_event = {**event.to_json(), "prev": self._last_hash}
-        line = json.dumps(whole_event, ensure_ascii=False, allow_nan=False).encode()
+        line = in_json(json.dumps(whole_event, ensure_ascii=False, allow_nan=False)).encode()
         try:
             self._write(line + b"\n")
             os.fsync(self._file.fileno())

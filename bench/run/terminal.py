@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Collection
 from typing import Final, TextIO
 
@@ -48,6 +49,10 @@ class TerminalPerson:
         self._console = console
         self._pause = pause
         self._go_on = go_on
+        if isinstance(answers, io.TextIOWrapper) and answers.errors != "backslashreplace":
+            answers.reconfigure(
+                errors="backslashreplace"
+            )  # bytes that are no text are an answer that does not fit
 
     def ask(self, prompt: Prompt) -> Answer:
         """Show the prompt and read a line.

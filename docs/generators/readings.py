@@ -50,6 +50,10 @@ V,1,1,44.999722222,-0.990108,0.909860,-1.927747
 Columns stand in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
 Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
 computed until it is mended or left out with `--skip-bad-rows`.
+
+A text in an unknown column, or its name, that begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end)
+is exported with an apostrophe in front, so that a spreadsheet keeps it as text; control characters are exported
+as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file undoes both. Numbers stay numbers.
 """
 
 
