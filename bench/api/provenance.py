@@ -6,6 +6,7 @@ import platform
 from importlib import metadata
 
 from bench.api.source import Source
+from bench.run.folder import Run
 
 PACKAGES = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
 
@@ -40,11 +41,21 @@ def provenance(source: Source) -> dict[str, str]:
             stated["procedure"] = f"{manifest.get('procedure')} (plan SHA-256 {manifest.get('plan_hash')})"
             stated["instruments"] = "simulated" if source.run.simulated else "real"
         stated.update(_identities(source))
-        stated["record"] = f"{len(source.run.history.events)} events, chain of hashes whole"
+        head = record_head(source.run)
+        stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"
         recorded = manifest.get("versions", {})
         stated["measured with"] = ", ".join(f"{name} {version}" for name, version in recorded.items())
     stated["evaluated with"] = ", ".join(f"{name} {version}" for name, version in versions().items())
     return stated
+
+
+def record_head(run: Run) -> dict[str, str | int]:
+    """Return by what a record can be known again: how many events it has, and the head of their chain.
+
+    The head is the SHA-256 of the last line, and through it of all before: kept elsewhere, as in a result, it shows
+    whether any was changed, removed or added since.
+    """
+    return {"events": len(run.history.events), "head": run.history.head}
 
 
 def _identities(source: Source) -> dict[str, str]:
