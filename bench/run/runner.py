@@ -63,8 +63,8 @@ class Runner:
     resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
     person's, not the bench's. `least_samples` is how few samples every voltmeter takes. `decider` is asked how to
     go on after an early sign, where that is somebody else than `person`. After `hold_signals` no signal raises
-    anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time that jumps where
-    `clocks` see to it.
+    anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time that jumps
+    where `clocks` see to it.
     """
 
     plan: Plan
