@@ -15,7 +15,7 @@ from rich.console import Console
 
 from bench.api.errors import Refused
 from bench.api.provenance import versions
-from bench.api.source import bench_path
+from bench.api.taken import bench_path, why_taken
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
@@ -108,6 +108,7 @@ def new_run(
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
+        "bench_why": why_taken(bench),
         "plan_hash": plan.hash,
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),

@@ -50,6 +50,13 @@ V,1,1,44.999722222,-0.990108,0.909860,-1.927747
 Columns stand in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
 Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
 computed until it is mended or left out with `--skip-bad-rows`.
+
+`bench export RUN --csv NAME.csv` writes `NAME.csv.json` beside it: whether the instruments were simulated, the
+run, the unit, the bench file with its SHA-256, the identities of the instruments, and the SHA-256 of the
+readings file. As long as this is the readings file's, an analysis of the file is as marked as one of the run, and
+takes the bench file that the run had (its copy in the run's folder, or where it was) unless `--bench` or
+`BENCH_FILE` names another. A readings file that was changed is told, and nothing is taken over. Which bench
+file was taken, and why, stands in the first line that an analysis prints and in its result (`bench`).
 """
 
 
