@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bench.files.bench.file import BenchFile
     from bench.readings.csv import ReadingsError
     from bench.readings.table import Readings
-    from bench.run.record import RecordError
+    from bench.run.manifest import RecordError
 
 __all__ = [
     "BenchFile",

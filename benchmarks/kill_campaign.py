@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 
 from bench.run.folder import Run
-from bench.run.record import read_history
+from bench.run.history import read_history
 
-PROGRAM = [sys.executable, "-c", "from bench.cli.app import main; main()"]
+PROGRAM = [sys.executable, "-c", "from bench.cli.program import main; main()"]
 PROCEDURE = "quick"
 LONGEST_S = 2.2
 """A dry run of `quick` takes about as long on a machine of two cores, its start included."""

@@ -32,7 +32,7 @@ def spent(*arguments: str) -> tuple[float, float]:
 
 
 def main() -> None:
-    bench = [sys.executable, "-c", "from bench.cli.app import main; main()"]
+    bench = [sys.executable, "-c", "from bench.cli.program import main; main()"]
     commands = {
         "python -c pass": [sys.executable, "-c", "pass"],
         "import bench": [sys.executable, "-c", "import bench"],

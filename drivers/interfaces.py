@@ -52,6 +52,10 @@ class LimitExceeded(BenchError):
     """A demand outside what the instrument or the unit under test may be given."""
 
 
+class WentAstray(BenchError):
+    """A head that did not go where it was sent. It was stopped, and is not to be sent again before it is mended."""
+
+
 class NotConnected(BenchError):
     """One or more instruments could not be opened; `failures` holds all of them."""
 

@@ -1,7 +1,7 @@
 """What motorised heads share: limits, the approach from the demanded side, in position by a window.
 
-A head is in position when every sample of its scale over a whole window lay within the tolerance while
-nothing moved; a controller's own "done" alone is not believed.
+On the way it is watched (`drivers.travel_watch`). It is in position when every sample of its scale over a whole
+window lay within the tolerance while nothing moved; a controller's own "done" alone is not believed.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.angles import format_dms
 from drivers.interfaces import Direction, HeadPosition, Identity, InstrumentRefused, LimitExceeded
+from drivers.travel_watch import TravelWatch
 from drivers.wire.proving import ProvedSession
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ class Mover:
         """Bring the head to `target_rad` from the demanded side; return the angle read back.
 
         Whatever goes wrong, Ctrl-C included, the motion is stopped. Raises `LimitExceeded`,
-        `InstrumentRefused` when it does not arrive, and what the axis raises.
+        `WentAstray`, `InstrumentRefused` when it does not arrive, and what the axis raises.
         """
         self.check(target_rad, direction)
         try:
@@ -142,9 +143,11 @@ class Mover:
             if direction * (from_rad - start_rad) < -self._travel.tolerance_rad:
                 start_rad = self._go(start_rad, from_rad, settle_s=0.0)
             return HeadPosition(self._go(start_rad, target_rad, self._travel.settle_s), direction)
-        except BaseException:
-            with contextlib.suppress(Exception):
+        except BaseException as error:
+            try:
                 self._axis.stop()
+            except Exception:
+                error.add_note(f"{self._name}: its stop is not confirmed: see that it stands")
             raise
 
     def wait_while(self, busy: Callable[[], bool], limit_s: float) -> None:
@@ -171,15 +174,20 @@ class Mover:
             )
 
     def _go(self, start_rad: float, target_rad: float, settle_s: float) -> float:
-        """Move, wait for the window, return the last angle read. Raises `InstrumentRefused` when too late."""
+        """Move, wait for the window, return the last angle read.
+
+        Raises `WentAstray` at the first sample that shows it, `InstrumentRefused` when it stalls or is too late.
+        """
         limit_s = self._travel.time_limit_s(target_rad - start_rad)
         begun_s = self._clock.now_s()
+        watch = TravelWatch(self._name, self._travel, start_rad, target_rad, begun_s)
         self._axis.start(target_rad)
         inside_since_s: float | None = None
         while True:
             moving = self._axis.moving()
             angle_rad = self._axis.position_rad()
             now_s = self._clock.now_s()
+            watch.take(angle_rad, now_s)
             if moving or abs(angle_rad - target_rad) > self._travel.tolerance_rad:
                 inside_since_s = None
             else:
@@ -252,8 +260,9 @@ class MotorisedHead(ABC):
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Turn to `target_rad` from the demanded side; return the angle read back.
 
-        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` for what the controller reports or
-        refuses or a head that does not arrive, `InstrumentLost`, `BadReading`. The motion is stopped then.
+        Raises `LimitExceeded` before anything is sent, `WentAstray` for a head that leaves its limits or its way,
+        `InstrumentRefused` for what the controller reports or refuses or a head that stalls or does not arrive,
+        `InstrumentLost`, `BadReading`. The motion is stopped then.
         """
         return self._mover.move(target_rad, direction)
 

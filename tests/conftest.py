@@ -13,6 +13,13 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold instruments in a folder of this test's: tests run side by side, with the same addresses."""
+    folder = tmp_path_factory.getbasetemp() / "held"
+    monkeypatch.setattr("bench.assembly.served.cache_folder", lambda part: folder / part)
+
+
 @pytest.fixture
 def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work in an empty folder, with nothing preset."""

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from bench.api.errors import Refused
 from bench.base.arrays import Floats
+from bench.base.form_mistakes import shortened
+from bench.base.whole import from_text
 from bench.model.block import COEFFICIENTS, Block
+
+ROUNDING: Final = 1_000_000 * 2.0**-53
+"""By how much a correlation of a million readings may be off by rounding."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     readings.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = from_text(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:
@@ -50,24 +55,67 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
 def coefficients_of(data: Any, where: str) -> Coefficients:
     """Take the coefficients out of a result of `calibrate --json`, whatever their unit.
 
-    Raises `Refused` that names `where` when it is not one, or holds what is no number.
+    Raises `Refused` that names `where` when it is not one, holds what is no number, or a covariance that none is.
     """
     try:
-        values = np.array([data["coefficients"][name]["value"] for name in COEFFICIENTS], dtype=np.float64)
-        by_name = {name: i for i, name in enumerate(data["order"])}
-        order = [by_name[name] for name in COEFFICIENTS]
-        covariance = np.array(data["covariance"], dtype=np.float64)[np.ix_(order, order)]
-        noise, g_m_s2 = float(data["noise"]["reading_v"]), float(data["g_m_s2"])
-        theirs = str(data["unit"])
+        values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
+        order = [list(data["order"]).index(name) for name in COEFFICIENTS]
+        rows = [[_number(entry) for entry in row] for row in data["covariance"]]
+        covariance = np.array(rows)[np.ix_(order, order)]
+        noise, g_m_s2 = _number(data["noise"]["reading_v"]), _number(data["g_m_s2"])
+        theirs, per, simulated = data["unit"], data.get("per", "g"), data.get("simulated", False)
     except KeyError as error:
         raise Refused(
             f"{where}: not a result of 'bench calibrate --json': it has no {error}; give a file that "
             "calibrate wrote"
         ) from error
-    except (ValueError, TypeError, IndexError) as error:
+    except (ValueError, TypeError, IndexError, AttributeError) as error:
         raise Refused(f"{where}: not a result of 'bench calibrate --json' ({error})") from error
-    numbers = [*values, *covariance.ravel(), noise, g_m_s2]
-    if not np.all(np.isfinite(numbers)) or np.any(np.diag(covariance) < 0) or noise < 0 or g_m_s2 <= 0:
-        raise Refused(f"{where}: holds what is no number, or a negative variance; calibrate again")
-    simulated = bool(data.get("simulated", False))
+    size = len(COEFFICIENTS)
+    if len(data["order"]) != size or len(rows) != size or any(len(row) != size for row in rows):
+        raise Refused(f"{where}: not a result of 'bench calibrate --json': it has not {size} coefficients")
+    if not isinstance(theirs, str) or per != "g" or not isinstance(simulated, bool):
+        raise Refused(f"{where}: not a result of 'bench calibrate --json': see its unit, per and simulated")
+    if noise < 0 or g_m_s2 <= 0:
+        raise Refused(f"{where}: holds a negative noise or gravity; calibrate again")
+    problem = impossible(covariance)
+    if problem:
+        raise Refused(f"{where}: {problem}; no calibration gives that: take the file as calibrate wrote it")
     return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
+
+
+def _number(value: Any) -> float:
+    """Return a JSON number. Raises `ValueError` for what is none: a text, true, one beyond all floats."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{shortened(repr(value))} is no number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError("it holds what is no number")
+    return number
+
+
+def impossible(covariance: Floats) -> str:
+    """Return why a matrix (n, n) of finite numbers is no covariance, empty where it may be one.
+
+    Symmetric, no variance negative, every |r| at most 1, no combination of negative variance, each within rounding:
+    a covariance is computed as a sum of m products b_ik b_jk (m readings and prior knowledge). Each entry is then
+    off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and Stability of Numerical Algorithms, 2002,
+    section 3.1, with the Cauchy-Schwarz inequality): a correlation by `ROUNDING`, an eigenvalue of the n
+    correlations by n times that (Weyl).
+    """
+    variance = np.diag(covariance)
+    if np.any(variance < 0):
+        return "the covariance has a negative variance"
+    u = np.sqrt(variance)
+    scale = np.where(u > 0, u, 1.0)
+    r = covariance / scale / scale[:, None]
+    if np.any(np.abs(r - r.T) > 2 * ROUNDING):
+        return "the covariance is not symmetric"
+    if np.any(np.abs(r) > np.where(np.outer(u, u) > 0, 1 + ROUNDING, 0.0)):
+        return "the covariance has a correlation beyond 1"
+    if np.linalg.eigvalsh(0.5 * (r + r.T)).min() < -len(r) * ROUNDING:
+        return "the covariance gives a combination of coefficients a negative variance"
+    return ""

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import platformdirs
 from rich.console import Console
 
 from bench.analysis.diagnosis import Diagnosis, ThresholdCache
@@ -16,6 +15,7 @@ from bench.analysis.diagnosis.full import FullDiagnosis, diagnose_fully
 from bench.api.errors import Refused
 from bench.api.provenance import provenance
 from bench.api.source import Source, data_sha256
+from bench.base.cache import cache_folder
 from bench.base.tables import as_text
 from bench.base.whole import write_whole
 from bench.readings.joined import JoinedPart, together
@@ -134,7 +134,7 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
         source.model,
         source.bench,
         source.g_m_s2,
-        ThresholdCache(Path(platformdirs.user_cache_dir("triaxial-bench")) / "thresholds"),
+        ThresholdCache(cache_folder("thresholds")),
         source=source.name,
         simulated=source.simulated,
     )

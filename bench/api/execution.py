@@ -6,10 +6,11 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Final
 
 from rich.console import Console
 
@@ -18,25 +19,35 @@ from bench.api.provenance import versions
 from bench.api.taken import bench_path, why_taken
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
+from bench.devices.chambers import ControlledChamberForm
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Read
+from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.control import ControlFile
-from bench.run.events import EventType
+from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
+from bench.run.history import History, read_history
 from bench.run.log import RunLog
-from bench.run.record import History, Manifest, Record, RecordError, is_being_written
+from bench.run.manifest import Manifest, RecordError
+from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner, Watch
+from bench.run.signals import Interrupts
 from bench.run.states import ENDED
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.watch.early_warning import EarlyWarning
+from bench.run.way_out import with_notes
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
+from drivers.wire.haste import Haste
 from drivers.wire.log import WireLog
+
+MOST_RECALLED: Final = 500
+"""So many of the last readings of a resumed run teach the early warning what to expect; more teach it little."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +87,8 @@ def new_run(
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
+    if re.search("[\ud800-\udfff]", operator):
+        raise Refused("--operator: this is not UTF-8 text; type the name again, or set the terminal to UTF-8")
     procedure_path, bench_file_path = find_procedure(procedure), bench_path(bench)
     loaded = load_procedure(procedure_path)
     plan = loaded.expand()
@@ -159,29 +172,51 @@ def _free_name(procedure: str, runs: Path) -> str:
 def unfinished_run(name: str | None, runs: Path) -> Run:
     """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another."""
     if name is None:
-        waiting = [run for run in all_runs(runs) if _waits(run)]
+        digests = Digests(runs)
+        waiting = [run for run in all_runs(runs) if _waits(run, digests)]
+        digests.save()
         if not waiting:
             raise Refused(f"{runs}: no unfinished run there")
         return waiting[-1]
     found = find_run(name, runs)
     if found.imported:
         raise Refused(f"{found.name}: was imported from a readings file; there is nothing to go on with")
-    if found.history.state in ENDED:
-        raise Refused(f"{found.name}: nothing to do, the run is {found.history.state}")
     return found
 
 
-def _waits(run: Run) -> bool:
+def taken_up(
+    run: Run, shield: Callable[[], AbstractContextManager[None]] = nullcontext
+) -> tuple[Record, History]:
+    """Open a run to go on with it. Raises `Refused` for one that has ended, `RecordError` as `Record.reopen`."""
+    record, history = Record.reopen(run.folder, utc_now, shield)
+    if history.state in ENDED:
+        record.close()
+        raise Refused(f"{run.name}: nothing to do, the run is {history.state}")
+    return record, history
+
+
+def _waits(run: Run, digests: Digests) -> bool:
     """Whether a run was begun here, has not ended, and nobody is carrying it out."""
     try:
-        waits = not run.imported and run.history.state not in ENDED
+        waits = not run.imported and digests.of(run).state not in ENDED
     except (RecordError, ValueError):
         return False
     return waits and not is_being_written(run.folder)
 
 
-def carry_out(run: Run, record: Record, history: History | None, wire: WireLog | None, out: Console) -> None:
-    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed."""
+def carry_out(
+    run: Run,
+    record: Record,
+    history: History | None,
+    wire: WireLog | None,
+    out: Console,
+    interrupts: Interrupts | None = None,
+) -> None:
+    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed.
+
+    `interrupts` hears the signals meanwhile.
+    """
+    signals = interrupts or Interrupts()
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
@@ -195,7 +230,7 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
         )
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
-        with _assembly(run, bench, history, wire, out) as (assembly, bar):
+        with _assembly(run, bench, history, wire, out, signals.haste) as (assembly, bar):
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -213,38 +248,47 @@ def carry_out(run: Run, record: Record, history: History | None, wire: WireLog |
                     bench.unit_under_test.temperature.maximum,
                 ),
                 least_samples=bench.least_samples,
+                slow_chamber_s=_slow_chamber_s(bench),
                 on_settling=bar.settling,
+                hold_signals=signals.hold,
             ).run(resume)
     except RunAborted as why:
-        raise Refused(f"aborted{': ' if str(why) else ''}{why}; {_recorded(run)}") from None
-    except KeyboardInterrupt:
-        raise Refused(f"interrupted; {_kept(run)}") from None
+        raise Refused(f"aborted{': ' if str(why) else ''}{with_notes(why)}; {_recorded(run)}") from None
+    except KeyboardInterrupt as stop:
+        raise Refused(
+            f"interrupted; {with_notes(stop)}{'; ' if with_notes(stop) else ''}{_kept(run)}"
+        ) from None
     except (BenchError, RecordError) as error:
-        raise Refused(f"{error}; {_kept(run)}") from error
+        raise Refused(f"{with_notes(error)}; {_kept(run)}") from error
     finally:
         record.close()
 
 
+def _slow_chamber_s(bench: BenchFile) -> float:
+    chamber = bench.instruments.chamber
+    return chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S
+
+
 @contextmanager
 def _assembly(
-    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console
+    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console, haste: Haste
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
     """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
     bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
     with bar:
         if run.simulated:
-            taken = [event.reading for event in (history.events if history else ()) if event.reading]
+            taken = [one[1] for one in (history.taken if history else ()) if one is not None]
             seed = run.manifest["seed"] or 0
             model = run.folder / MODEL
             truth = simulated_truth(bench, model if model.is_file() else None)
-            with dry_bench(bench, truth, seed, wire, plan=run.plan, taken=taken) as assembly:
+            with dry_bench(bench, truth, seed, wire, haste, plan=run.plan, taken=taken) as assembly:
                 yield assembly, bar
         else:
-            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire), bar
+            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire, haste), bar
 
 
 def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
-    """Compare each reading with what the model expects from those before it, recorded ones included."""
+    """Compare each reading with what the model expects from those before it, the last on record included."""
     readings = sum(isinstance(step, Read) for step in run.plan.steps)
     warning = EarlyWarning(
         bench.unit_under_test.scale_factors.values,
@@ -253,11 +297,11 @@ def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
         readings=readings,
     )
 
-    for event in history.events if history else ():
-        if event.type == EventType.REMOUNTED:
+    for taken in history.taken[-MOST_RECALLED:] if history else ():
+        if taken is None:
             warning.remounted()
-        if (reading := event.reading) is not None:
-            warning.take(reading)
+        else:
+            warning.take(taken[1])
     return warning.take
 
 
@@ -279,7 +323,7 @@ def _elapsed_s(history: History) -> float:
 
 
 def _recorded(run: Run) -> str:
-    done = sum(event.reading is not None for event in Run(run.folder).history.events)
+    done = sum(taken is not None for taken in read_history(run.folder).taken)
     return f"{done} readings are kept in {run.folder}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
@@ -27,6 +28,7 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
+from drivers.wire.haste import Haste
 from drivers.wire.log import WireLog
 
 _LONGEST_S: Final = 180.0
@@ -106,9 +108,12 @@ class InstrumentLook:
         }
 
 
-def look_at(file: BenchFile, wire: WireLog | None) -> list[InstrumentLook]:
-    """Open, test, read and close every instrument of a bench at once; what goes wrong stands in its row."""
-    assembly = real_bench(file, _Nobody(), wire)
+def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
+    """Open, test, read and close every instrument of a bench at once; what goes wrong stands in its row.
+
+    In `haste` those that do not answer are waited for no longer.
+    """
+    assembly = real_bench(file, _Nobody(), wire, haste)
     instruments = assembly.instruments.all()
     rows = [_row(file, instrument) for instrument in instruments]
     _look_at_all(instruments, rows, file.voltmeter_range_v, assembly.clock)
@@ -152,7 +157,8 @@ def _look_at_all(
     finally:
         for thread, instrument in zip(threads, instruments, strict=True):
             if thread.is_alive():  # after Ctrl-C
-                instrument.close()
+                with suppress(Exception):  # the next one is to be let go as well
+                    instrument.close()
 
 
 def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:

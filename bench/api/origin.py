@@ -9,21 +9,22 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from bench.base.regular import MEGABYTE, read_regular
+from bench.base.visible import visible
 from bench.base.whole import to_text
 from bench.run.folder import BENCH, IMPORTED, Run
-from bench.run.record import sha256
+from bench.run.manifest import sha256
 
 FORMAT: Final = 1
 SUFFIX: Final = ".json"
-_MOST_BYTES: Final = 1_000_000
 
 
 def _printable(text: str) -> str:
-    if not text.isprintable():
+    if visible(text) != text:
         raise ValueError("text with control characters")
     return text
 
@@ -121,7 +122,7 @@ def origin_of_run(run: Run) -> Told:
                 copied_to=_shown(copied_to),
                 sha256=sha256(copied_to.read_bytes()),
             ),
-            instruments=_identities(run),
+            instruments={name: _shown(identity) for name, identity in run.history.identities.items()},
             measured_with={name: _shown(v) for name, v in manifest.get("versions", {}).items()},
         )
     )
@@ -174,21 +175,11 @@ def _mismatch(readings: str, file: str, about: Origin) -> str:
 def _read(path: Path) -> bytes | None:
     """Return the content of a regular file of a usual size; None for all else."""
     try:
-        if path.is_file() and path.stat().st_size <= _MOST_BYTES:
-            return path.read_bytes()
-    except (OSError, ValueError):
-        pass
-    return None
+        return read_regular(path, MEGABYTE)
+    except OSError:
+        return None
 
 
-def _identities(run: Run) -> dict[str, str]:
-    """Identities of the instruments as they answered, from the run's first event."""
-    for event in run.history.events:
-        if event.type in {"run_started", "run_resumed"}:
-            return {name: _shown(identity) for name, identity in event.data.get("instruments", {}).items()}
-    return {}
-
-
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """Return a value of a record as text that can be printed."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(value or ""))
+    return visible(str(value or ""))

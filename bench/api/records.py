@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from pathlib import Path
 
-from bench.run.folder import VERIFY, Run
-from bench.run.record import RecordError, is_being_written
+from bench.run.digest import Digest, Digests
+from bench.run.folder import VERIFY, Run, all_runs
+from bench.run.manifest import RecordError
+from bench.run.record import is_being_written
 from bench.run.states import ENDED, RunState
 
 
-def run_summary(run: Run) -> dict[str, object]:
+def run_summaries(runs: Path) -> list[dict[str, object]]:
+    """Return the list of the runs in a folder, oldest first. Nothing in that folder is opened for writing."""
+    digests = Digests(runs)
+    found = [run_summary(run, digests.of) for run in all_runs(runs)]
+    digests.save()
+    return found
+
+
+def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> dict[str, object]:
     """Return a row of the list; a run that cannot be read is one as well, with the reason."""
     try:
-        state, to_go_on = _state_and_next(run)
-        count = _count(run)
+        digest = digest_of(run)
+        state, to_go_on = _state_and_next(run, digest)
+        count = int(run.manifest["readings"]) if run.imported else digest.readings
     except (RecordError, ValueError, TypeError, KeyError) as reason:
         return {
             "name": run.name,
@@ -44,22 +57,16 @@ def _verdict(run: Run) -> str | None:
         return None
 
 
-def _state_and_next(run: Run) -> tuple[str, str]:
+def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
     """Return the state of a run in words, and the command that goes on with it."""
-    if run.history.problems:
+    if digest.problems:
         return "damaged", f"bench show {run.name} --verify"
     if run.imported:
         return "imported", ""
-    state = run.history.state
+    state = digest.state
     if state in ENDED:
         return state.value, ""
     if is_being_written(run.folder):
         return state.value, ""
     alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
     return alive.get(state, state.value), f"bench resume {run.name}"
-
-
-def _count(run: Run) -> int:
-    if run.imported:
-        return int(run.manifest["readings"])
-    return len({e.data["step"] for e in run.history.events if e.type == "step_done" and "reading" in e.data})

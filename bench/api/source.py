@@ -17,7 +17,7 @@ from bench.model import ForwardModel
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
 from bench.run.folder import IMPORTED, Run, find_run
-from bench.run.record import MANIFEST, sha256
+from bench.run.manifest import MANIFEST, sha256
 
 if TYPE_CHECKING:
     from typing import TypeAlias

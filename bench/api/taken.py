@@ -11,7 +11,7 @@ from bench.api.origin import SUFFIX, Told
 from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
 from bench.files.shipped import find_bench
 from bench.run.folder import BENCH, Run
-from bench.run.record import sha256 as sha256_of
+from bench.run.manifest import sha256 as sha256_of
 
 DEFAULT_BENCH: Final = "paper-stand"
 _NONE_NAMED: Final = "the shipped one, as none was named"

@@ -17,6 +17,8 @@ from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
 from drivers.interfaces import BenchError, Person
 from drivers.motion import Travel
+from drivers.wire.haste import Haste
+from drivers.wire.holding import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 
 Section = VoltmeterForm | HeadForm | ChamberForm
@@ -26,7 +28,8 @@ Section = VoltmeterForm | HeadForm | ChamberForm
 class Surroundings:
     """What drivers are given beside their own section.
 
-    `resources` has by name the resources that are taken in place of those in the bench file.
+    `resources` has by name the resources that are taken in place of those in the bench file; `haste` tells
+    when instruments that do not answer are waited for no longer. What is opened is held by `holding`.
     """
 
     person: Person
@@ -34,6 +37,8 @@ class Surroundings:
     line_hz: float
     wire: Wire | None = None
     resources: Mapping[str, str] | None = None
+    haste: Haste | None = None
+    holding: Holding | None = None
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
         """Return the message session of an instrument; nothing is opened."""
@@ -46,6 +51,8 @@ class Surroundings:
             write_termination=port.write_termination,
             serial=None if port.serial is None else SerialSettings(**port.serial),
             wire=self.wire,
+            haste=self.haste,
+            holding=self.holding,
         )
 
 

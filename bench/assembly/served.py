@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Final
 
 from bench.assembly.real import Surroundings, instruments_of
 from bench.assembly.simulated import (
@@ -26,6 +27,7 @@ from bench.assembly.simulated import (
     simulated_instruments,
     world_of,
 )
+from bench.base.cache import cache_folder
 from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
 from bench.procedure.plan import Plan, Read
@@ -37,6 +39,8 @@ from bench.run.runner import Observer
 from bench.run.workbench import Instruments
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Person, Voltmeter
+from drivers.wire.haste import Haste
+from drivers.wire.holding import Holding
 from drivers.wire.visa import Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
@@ -46,6 +50,9 @@ from sim.wires.session import ServedInstrument as Wired
 from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.operator import ScriptedOperator
 from sim.world.world import World
+
+HELD: Final = "instruments"
+"""The part of the cache folder in which a program holds the instruments that it has opened."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +66,22 @@ class Assembly:
     at_resumed_time: Callable[[float], None] | None = None
 
 
-def real_bench(bench: BenchFile, person: Person, wire: Wire | None = None) -> Assembly:
-    """Put the bench of a bench file together; nothing is opened yet."""
+def real_bench(
+    bench: BenchFile, person: Person, wire: Wire | None = None, haste: Haste | None = None
+) -> Assembly:
+    """Put the bench of a bench file together; nothing is opened yet, and what is opened is held."""
     clock = SystemClock()
-    instruments = instruments_of(bench, Surroundings(person, clock, bench.line_frequency, wire))
+    instruments = instruments_of(
+        bench,
+        Surroundings(
+            person,
+            clock,
+            bench.line_frequency,
+            wire,
+            haste=haste,
+            holding=Holding(cache_folder(HELD)),
+        ),
+    )
     return Assembly(instruments, person, clock)
 
 
@@ -72,6 +91,7 @@ def dry_bench(
     model: ForwardModel,
     seed: int,
     wire: Wire | None = None,
+    haste: Haste | None = None,
     *,
     plan: Plan | None = None,
     taken: Sequence[Reading] = (),
@@ -102,7 +122,9 @@ def dry_bench(
     terminals = on_terminals(bench) if TERMINALS else ()
     with _simulated(bench, world, with_terminals=terminals) as simulated:
         ports = {name: simulated.terminals[name].resource for name in terminals}
-        given = Surroundings(operator, clock, bench.line_frequency, wire, simulated.resources | ports)
+        given = Surroundings(
+            operator, clock, bench.line_frequency, wire, simulated.resources | ports, haste=haste
+        )
         instruments = instruments_of(bench, given)
         _recall(world, taken)
         yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)

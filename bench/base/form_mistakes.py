@@ -13,6 +13,12 @@ from pydantic_core import ErrorDetails
 Place = tuple[str | int, ...]
 """Where in a file: keys and positions in lists (from 0), such as ("steps", 0, "turn")."""
 
+MOST_TOLD: Final = 200
+"""Mistakes of one file that are told; mending those shows the rest."""
+
+_QUOTED: Final = 80
+"""Characters of a text from a file that a sentence quotes."""
+
 _EXPECTED: Final = {
     "int_parsing": "a whole number",
     "int_type": "a whole number",
@@ -45,7 +51,7 @@ def explained(
 
     A key that is missing because it was misspelt is told once, as the misspelt one.
     """
-    details = error.errors()
+    details = error.errors()[:MOST_TOLD]
     misspelt = {
         (*detail["loc"][:-1], _nearest(str(detail["loc"][-1]), _keys(model, detail["loc"][:-1])))
         for detail in details
@@ -71,10 +77,12 @@ def unknown_word(word: str, known: list[str], what: str) -> str:
     """Return the sentence for a word that is not known, with the nearest one that is."""
     near = _nearest(word, known)
     hint = f"did you mean '{near}'? " if near else ""
-    return f"unknown {what} '{word}'; {hint}known: {', '.join(known)}"
+    return f"unknown {what} '{shortened(word)}'; {hint}known: {', '.join(known)}"
 
 
 def _nearest(word: str, known: Iterable[str]) -> str | None:
+    if len(word) > _QUOTED:
+        return None
     near = difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.5)
     return near[0] if near else None
 
@@ -97,7 +105,12 @@ def _got(value: object) -> str:
         case None:
             return "nothing"
         case _:
-            return f"'{value}'"
+            return f"'{shortened(str(value))}'"
+
+
+def shortened(text: str) -> str:
+    """Return a text as a sentence quotes it."""
+    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}…"
 
 
 def _wrong_word(detail: ErrorDetails) -> str:

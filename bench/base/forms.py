@@ -9,19 +9,25 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from bench.base.form_mistakes import Place, explained
+from bench.base.form_mistakes import MOST_TOLD, Place, explained
+from bench.base.regular import MEGABYTE, read_regular
+from bench.base.yaml_nodes import Loader, TooDeep
 
 _PLAIN_TAGS: Final = frozenset(
     f"tag:yaml.org,2002:{name}"
     for name in ("str", "int", "float", "bool", "null", "timestamp", "seq", "map", "merge", "value")
 )
 _NULL: Final = "tag:yaml.org,2002:null"
+
+_SHORT: Final = 100_000
+"""Characters of a text that is read a second time for a better sentence about what is wrong with it."""
 
 
 @dataclass(frozen=True, order=True)
@@ -105,27 +111,22 @@ def sha256_of_file(path: Path) -> str:
 # --- reading ----------------------------------------------------------------------------------------
 
 
-def load_document(path: Path) -> Document:
+def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
     """Read a file with its lines; duplicate keys, aliases and tags are noted in `mistakes`.
 
-    Raises `FileMistakes` where the file is missing, is not UTF-8 text, is empty or is not YAML.
+    Raises `FileMistakes` where the file is missing, is no regular file, has more than `most_bytes`, is not UTF-8
+    text, is empty or is not YAML.
     """
-    content = _content(path)
+    content = _content(path, most_bytes)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise _unusable(path, "the file is not UTF-8 text; save it as UTF-8 and try again", line) from None
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        context = f" {error.context}" if error.context else ""
-        problem = f"this is not YAML: {error.problem or 'it cannot be read'}{context}"
-        raise _unusable(path, _hinted(problem), mark.line + 1 if mark else 0) from None
-    except (yaml.YAMLError, RecursionError) as error:
-        reason = str(error).splitlines()[0] if str(error) else "it cannot be read"
-        raise _unusable(path, f"this is not YAML: {reason}") from None
+        node = yaml.compose(text, Loader=Loader)
+    except yaml.YAMLError as error:
+        raise _not_yaml(path, text, error) from None
     if node is None or node.tag == _NULL:
         raise _unusable(path, "the file is empty; 'bench init' writes files to start from")
     document = Document(path, None, hashlib.sha256(content).hexdigest(), {(): node.start_mark.line + 1})
@@ -133,9 +134,9 @@ def load_document(path: Path) -> Document:
     return document
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path, most_bytes: int) -> bytes:
     try:
-        return path.read_bytes()
+        return read_regular(path, most_bytes)
     except FileNotFoundError:
         text = "there is no such file; check the name"
     except IsADirectoryError:
@@ -147,6 +148,23 @@ def _content(path: Path) -> bytes:
 
 def _unusable(path: Path, text: str, line: int = 0) -> FileMistakes:
     return FileMistakes(path, [FileMistake(line, "", text)])
+
+
+def _not_yaml(path: Path, text: str, error: yaml.YAMLError) -> FileMistakes:
+    if len(text) <= _SHORT and not isinstance(error, TooDeep):
+        try:
+            yaml.compose(text, Loader=yaml.SafeLoader)
+        except yaml.YAMLError as better_told:
+            error = better_told
+        except RecursionError:
+            pass
+    if not isinstance(error, yaml.MarkedYAMLError):
+        reason = str(error).splitlines()[0] if str(error) else "it cannot be read"
+        return _unusable(path, f"this is not YAML: {reason}")
+    mark = error.problem_mark or error.context_mark
+    context = f" {error.context}" if error.context else ""
+    problem = f"this is not YAML: {error.problem or 'it cannot be read'}{context}"
+    return _unusable(path, _hinted(problem), mark.line + 1 if mark else 0)
 
 
 def _hinted(problem: str) -> str:
@@ -221,10 +239,18 @@ def validated(document: Document, model: type[Model]) -> Model:
         result = model.model_validate(document.data)
     except ValidationError as error:
         mistakes += [document.mistake(place, text) for place, text in explained(error, model, document.lines)]
-    mistakes += [document.mistake(place, text) for place, text in model.cross_checks(document.data)]
+    crossed = islice(model.cross_checks(document.data), MOST_TOLD)
+    mistakes += [document.mistake(place, text) for place, text in crossed]
     if result is None or mistakes:
-        raise FileMistakes(document.path, sorted(set(mistakes)))
+        raise FileMistakes(document.path, _told(sorted(set(mistakes))))
     return result
+
+
+def _told(mistakes: list[FileMistake]) -> list[FileMistake]:
+    if len(mistakes) < MOST_TOLD:
+        return mistakes
+    last = FileMistake(mistakes[-1].line, "", "there are more mistakes; they are told when these are mended")
+    return [*mistakes[: MOST_TOLD - 1], last]
 
 
 def part(data: Any, *place: str | int) -> Any:

@@ -4,19 +4,39 @@ from __future__ import annotations
 
 import html
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
+
+from bench.base.visible import visible
 
 WIDTH: Final = 120
 """Characters in a line where no terminal says it; no table of ours is cut at this width."""
 
 
+class Screen(Console):
+    """A console that shows what is in a text and does not obey it: an escape in a name moves no cursor."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield what is written, with escapes for characters that would act; the console's own codes stay."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(visible(segment.text), segment.style)
+
+
+class _Rows(Table):
+    """A table whose columns are as wide as what is shown in them."""
+
+    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
+        """Add a row of cells."""
+        super().add_row(*(visible(cell) if isinstance(cell, str) else cell for cell in cells), **options)
+
+
 def table(*headings: str, no_wrap: bool = False) -> Table:
     """Return an empty table; a heading that begins with ">" stands over a column of numbers, to the right."""
-    made = Table(box=None, pad_edge=False)
+    made = _Rows(box=None, pad_edge=False)
     for heading in headings:
         right = heading.startswith(">")
         made.add_column(heading.removeprefix(">"), justify="right" if right else "left", no_wrap=no_wrap)
@@ -26,13 +46,13 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 def as_text(print_on: Callable[[Console], None]) -> str:
     """Return what a function prints on a console, without colours and without the last line end."""
     file = io.StringIO()
-    print_on(Console(file=file, highlight=False, soft_wrap=True, markup=False, width=WIDTH))
+    print_on(Screen(file=file, highlight=False, soft_wrap=True, markup=False, width=WIDTH))
     return "\n".join(line.rstrip() for line in file.getvalue().splitlines())
 
 
 def as_html(lines: Iterable[str], *tables: Table) -> str:
     """Return sentences and tables as HTML, for a notebook."""
-    return "".join(f"<p>{html.escape(line)}</p>" for line in lines) + "".join(map(_html_table, tables))
+    return "".join(f"<p>{_escaped(line)}</p>" for line in lines) + "".join(map(_html_table, tables))
 
 
 def _html_table(shown: Table) -> str:
@@ -46,4 +66,4 @@ def _html_table(shown: Table) -> str:
 
 
 def _escaped(cell: Any) -> str:
-    return html.escape(str(cell))
+    return html.escape(visible(str(cell)))

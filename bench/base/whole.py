@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and results as JSON text."""
+"""Files that are there whole or not at all; JSON text, written and read."""
 
 from __future__ import annotations
 
@@ -6,10 +6,37 @@ import json
 from pathlib import Path
 from typing import Any
 
+from bench.base.visible import in_json
+
 
 def to_text(result: Any) -> str:
     """Return a result as JSON text."""
-    return json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return in_json(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
+
+
+def from_text(text: str | bytes) -> Any:
+    """Return what stands in JSON text, as the standard has it (RFC 8259).
+
+    Raises `ValueError` where it is not JSON, has `NaN` or `Infinity`, a key twice, or brackets nested so deep that
+    nobody can have meant them.
+    """
+    try:
+        return json.loads(text, parse_constant=_no_number, object_pairs_hook=_once)
+    except RecursionError:
+        raise ValueError("its brackets are nested too deep") from None
+
+
+def _no_number(word: str) -> Any:
+    raise ValueError(f"{word} is no number")
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    whole = dict(pairs)
+    if len(whole) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"'{twice}' stands twice")
+    return whole
 
 
 def write_whole(path: Path, text: str) -> None:

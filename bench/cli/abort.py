@@ -9,12 +9,10 @@ from bench.cli.options import RUNS, LatestRun, RunsOption, app
 @app.command(epilog="Example: bench abort unit-17")
 def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
     """End an interrupted run for good; its record is kept."""
-    from bench.api.execution import unfinished_run
-    from bench.run.record import Record
-    from drivers.clock import utc_now
+    from bench.api.execution import taken_up, unfinished_run
 
     found = unfinished_run(name, runs)
-    record, history = Record.reopen(found.folder, utc_now)
+    record, history = taken_up(found)
     record.append("run_aborted", history.events[-1].bench_s if history.events else 0.0)
     record.close()
     printing.console().print(f"{found.name}: aborted; its record is kept in {found.folder}")

@@ -11,6 +11,7 @@ import typer
 
 from bench.api.errors import Refused
 from bench.base import progress
+from bench.base.visible import visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 
@@ -55,8 +56,9 @@ def main(arguments: list[str] | None = None) -> None:
         status = app(typed or ["--help"], prog_name="bench", standalone_mode=False)
         if status == CTRL_C:
             status = _fail("stopped by Ctrl-C")
-    except KeyboardInterrupt:
-        status = _fail("stopped by Ctrl-C")
+    except KeyboardInterrupt as stop:
+        before = stop.__context__  # it may have come while another end was on its way here
+        status = _fail(explain(before) if isinstance(before, Refused) else "stopped by Ctrl-C")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = NOT_DONE
@@ -96,7 +98,7 @@ def expected(error: Exception) -> bool:
     from bench.analysis.calibration import CalibrationError
     from bench.files.bench.file import FileMistakes
     from bench.readings.csv import ReadingsError
-    from bench.run.record import RecordError
+    from bench.run.manifest import RecordError
     from drivers.interfaces import BenchError
 
     kinds: tuple[Any, ...] = (
@@ -106,5 +108,5 @@ def expected(error: Exception) -> bool:
 
 
 def _fail(text: str) -> int:
-    print(f"bench: {text}", file=sys.stderr)
+    print(f"bench: {visible(text)}", file=sys.stderr)
     return NOT_DONE

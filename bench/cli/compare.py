@@ -80,7 +80,7 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
     from bench.analysis.history.comparison import Snapshot
     from bench.api.calibration import calibration_of
     from bench.api.source import load_sources
-    from bench.run.record import MANIFEST
+    from bench.run.manifest import MANIFEST
 
     path = Path(name)
     if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
@@ -104,10 +104,10 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
 
 
 def _from_json(path: Path) -> list[Snapshot]:
-    import json
+    from bench.base.whole import from_text
 
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = from_text(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:
@@ -122,7 +122,9 @@ def _from_result(data: Any, path: Path, number: int) -> Snapshot:
 
     name = f"{path}, result {number}" if number else str(path)
     found = coefficients_of(data, name)
-    block = data.get("unit_under_test") or {}
+    block = data.get("unit_under_test")
+    if not isinstance(block, dict):
+        block = {}
     return Snapshot(
         name,
         _date(data.get("made_at"), name),

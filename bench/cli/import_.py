@@ -25,7 +25,8 @@ def import_(
     from bench.api.taken import bench_of
     from bench.readings.csv import read_csv
     from bench.run.folder import BENCH, IMPORTED, Run, checked_name
-    from bench.run.record import Manifest, Record
+    from bench.run.manifest import Manifest
+    from bench.run.record import Record
     from drivers.clock import utc_now
 
     told = origin_beside(file)

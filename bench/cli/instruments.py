@@ -39,6 +39,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     from bench.api.instruments import look_at
     from bench.api.taken import bench_path
     from bench.files.bench.file import load_bench
+    from bench.run.signals import Interrupts
     from drivers.wire.log import logged_wire
 
     if not (bench or os.environ.get("BENCH_FILE")):
@@ -46,8 +47,8 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
             "say which bench: --bench FILE (or set BENCH_FILE); --discover lists what the interfaces offer"
         )
     file = load_bench(bench_path(bench))
-    with logged_wire(wire_log) as wire:
-        rows = look_at(file, wire)
+    with logged_wire(wire_log) as wire, Interrupts() as interrupts:
+        rows = look_at(file, wire, interrupts.haste)
     failures = [failure for row in rows for failure in row.failures]
     result = {
         "bench": file.name,

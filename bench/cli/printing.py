@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.api.errors import Refused
 from bench.base.progress import quiet
+from bench.base.visible import visible
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,15 +28,13 @@ def console(*, json: str | None = None) -> Console:
 
     Where `json` goes to standard output ("-"), what is written for a person goes to standard error.
     """
-    from rich.console import Console
-
-    from bench.base.tables import WIDTH
+    from bench.base.tables import WIDTH, Screen
 
     aside = json == "-"
-    out = Console(highlight=False, soft_wrap=True, markup=False, stderr=aside)
+    out = Screen(highlight=False, soft_wrap=True, markup=False, stderr=aside)
     if out.is_terminal:
         return out
-    return Console(highlight=False, soft_wrap=True, markup=False, stderr=aside, width=WIDTH)
+    return Screen(highlight=False, soft_wrap=True, markup=False, stderr=aside, width=WIDTH)
 
 
 def table(*headings: str, no_wrap: bool = False) -> Table:
@@ -48,7 +47,7 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 def aside(*lines: str) -> None:
     """Print lines on standard error, beside a result on standard output."""
     for line in lines:
-        print(line, file=sys.stderr)
+        print(visible(line), file=sys.stderr)
 
 
 def notes_aside(notes: Iterable[str]) -> None:

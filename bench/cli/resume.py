@@ -22,11 +22,9 @@ def resume(
     runs: RunsOption = RUNS,
 ) -> int:
     """Go on with an interrupted run at the first point without a reading."""
-    from bench.api.execution import carry_out, refuse_missing_devices, unfinished_run
+    from bench.api.execution import carry_out, refuse_missing_devices, taken_up, unfinished_run
     from bench.run.folder import Run
-    from bench.run.record import Record
     from bench.run.signals import Interrupts
-    from drivers.clock import utc_now
     from drivers.wire.log import logged_wire
 
     printing.check_target(json)
@@ -34,10 +32,10 @@ def resume(
     refuse_missing_devices(found)
     _accept_changes(found, json)
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
-        record, history = Record.reopen(found.folder, utc_now, interrupts.shield)
+        record, history = taken_up(found, interrupts.shield)
         if history.torn:
             printing.notes_aside(["the last line of the record was half written and is dropped"])
-        carry_out(found, record, history, wire, printing.console(json=json))
+        carry_out(found, record, history, wire, printing.console(json=json), interrupts)
     return conclude(Run(found.folder), json)
 
 

@@ -82,7 +82,7 @@ def run(
         printing.notes_on(out, new.notes)
         with logged_wire(wire_log) as wire, Interrupts() as interrupts:
             record = new.record(interrupts.shield)
-            carry_out(Run(new.folder), record, None, wire, out)
+            carry_out(Run(new.folder), record, None, wire, out, interrupts)
         done = Run(new.folder)
         return done, conclude(done, json)
 

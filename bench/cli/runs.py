@@ -15,10 +15,9 @@ _NAME: Final = 19
 @app.command(epilog="Example: bench runs")
 def runs(runs: RunsOption = RUNS, json: JsonOption = None) -> int:
     """List the runs, what became of them, and how to go on."""
-    from bench.api.records import run_summary
-    from bench.run.folder import all_runs
+    from bench.api.records import run_summaries
 
-    found = [run_summary(run) for run in all_runs(runs)]
+    found = run_summaries(runs)
     printing.write_json([{"runs": found}], json)
     if json == "-":
         return 0

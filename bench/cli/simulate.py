@@ -72,7 +72,7 @@ def _serve(
     *,
     with_terminals: bool,
 ) -> int:
-    """Serve until Ctrl-C or SIGTERM, then end with 0.
+    """Serve until Ctrl-C, SIGTERM or the end of the terminal, then end with 0.
 
     Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
     """
@@ -88,6 +88,7 @@ def _serve(
     file = load_bench(bench_path(bench))
     with (
         _ended_by_signal() as ended,
+        _held(host, port),
         served_bench(
             file,
             simulated_truth(file, model),
@@ -148,6 +149,24 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 
 
 @contextmanager
+def _held(host: str, port: int | None) -> Iterator[None]:
+    """Hold the first of the ports that were chosen: who would serve there as well is told who does."""
+    from bench.assembly.served import HELD
+    from bench.base.cache import cache_folder
+    from drivers.wire.holding import Holding
+
+    if not port:
+        yield
+        return
+    holding, place = Holding(cache_folder(HELD)), f"{host}:{port}"
+    holding.take("simulation", f"serving {place}", called=place)
+    try:
+        yield
+    finally:
+        holding.release(f"serving {place}")
+
+
+@contextmanager
 def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
     """Write the ready file, whole from its first moment; take it away again when it is still ours."""
     if ready_file is None:
@@ -175,13 +194,15 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
-    """Yield what Ctrl-C and SIGTERM set in place of ending the program."""
+    """Yield what Ctrl-C, SIGTERM and a closed terminal set in place of ending the program."""
+    from bench.run.signals import SIGNALS
+
     ended = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
         ended.set()
 
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, end) for number in SIGNALS}
     try:
         yield ended
     finally:

@@ -69,9 +69,13 @@ class ChamberForm(TemperatureRange, DeviceSection):
 
 
 class ControlledChamberForm(ChamberForm, WiredForm):
-    """A chamber with a controller; at a reading its air is within `band` of the demand, where one is stated."""
+    """A chamber with a controller; at a reading its air is within `band` of the demand, where one is stated.
+
+    One that has not gone a fifth of its way `slow_after` a demand is told of.
+    """
 
     band: SizeK | None = None
+    slow_after: SpanS = 300.0
 
     @field_validator("band")
     @classmethod
@@ -79,6 +83,13 @@ class ControlledChamberForm(ChamberForm, WiredForm):
         if band_k == 0.0:
             raise ValueError("the band is more than nothing: no air keeps its temperature exactly")
         return band_k
+
+    @field_validator("slow_after")
+    @classmethod
+    def _later(cls, slow_after_s: float) -> float:
+        if slow_after_s == 0.0:
+            raise ValueError("expected a while such as 5 min: at once no air has moved")
+        return slow_after_s
 
     def limits(self) -> tuple[float, float, float | None]:
         """Return lowest and highest demand and the band (`drivers.chambers.ChamberLimits`), °C."""

@@ -113,6 +113,7 @@ class Expansion:
         self._measured: set[tuple[str, int]] = set()
         self._input_points: Counter[tuple[str, int, int]] = Counter()
         self._noted: set[tuple[Path, Place]] = set()
+        self._paths: dict[tuple[int, str], Path] = {}
 
     def run(self, root: Path) -> tuple[Step, ...]:
         """Return the steps of the procedure in the file `root`."""
@@ -121,7 +122,7 @@ class Expansion:
         try:
             self._all(file.steps, ("steps",), context)
         except _TooLong:
-            text = f"the procedure has more than {MOST_STEPS} steps; check its repeats and counts"
+            text = f"the procedure has more than {MOST_STEPS} steps; check its repeats, counts and includes"
             self.mistakes.append((document, document.mistake(("steps",), text)))
         return tuple(self._steps)
 
@@ -162,9 +163,15 @@ class Expansion:
         elif entry.temperatures is not None:
             self._temperatures(entry.temperatures, (*place, "temperatures"), context)
         elif entry.include is not None:
-            path = (context.document.path.parent / entry.include).resolve()
+            path = self._path_of(context.document, entry.include)
             inside = context.inside(self._documents[path], self._files[path])
             self._all(self._files[path].steps, ("steps",), inside)
+
+    def _path_of(self, document: Document, name: str) -> Path:
+        """Return the path by which an included file is known; the system is asked for it once."""
+        if (id(document), name) not in self._paths:
+            self._paths[id(document), name] = (document.path.parent / name).resolve()
+        return self._paths[id(document), name]
 
     def _installation(self, verb: InstallationVerb, place: Place, context: _Context) -> None:
         series = verb.series or self._next_series(verb.label)

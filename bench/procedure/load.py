@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from bench.base.form_mistakes import Place
 from bench.base.forms import Document, FileMistake, FileMistakes, load_document, part, validated
+from bench.base.regular import MEGABYTE
 from bench.procedure.check import check
 from bench.procedure.expansion import Expansion
 from bench.procedure.file import IncludedFile, ProcedureFile
@@ -18,6 +19,17 @@ from bench.procedure.plan import Plan
 __all__ = ["Procedure", "check", "load_procedure"]
 
 _INCLUDE: Final = "include"
+
+MOST_BYTES: Final = 10 * MEGABYTE
+"""Of the file that is asked for, which may have been written by a program; those that it includes have less."""
+
+MOST_FILES: Final = 1_000
+"""More included files are a slip."""
+
+MOST_DEEP: Final = 100
+"""Files that include each other in a row."""
+
+_TOO_DEEP: Final = "steps and included files stand too deep in each other; put fewer of them into one another"
 
 
 @dataclass(frozen=True)
@@ -37,6 +49,13 @@ class Procedure:
 
 def load_procedure(path: Path) -> Procedure:
     """Read and check a procedure. Raises `FileMistakes` with every mistake in it and in what it includes."""
+    try:
+        return _loaded(path)
+    except RecursionError:
+        raise FileMistakes(path, [FileMistake(0, "steps", _TOO_DEEP)]) from None
+
+
+def _loaded(path: Path) -> Procedure:
     tree = _Tree(path)
     if tree.mistakes:
         raise FileMistakes(path, sorted(set(tree.mistakes), key=_in_order))
@@ -62,11 +81,14 @@ class _Tree:
         self.documents: dict[Path, Document] = {}
         self.files: dict[Path, IncludedFile] = {}
         self.mistakes: list[FileMistake] = []
-        self._root = load_document(path)
+        self._refused: dict[Path, str] = {}
+        self._checked: set[tuple[Path, frozenset[str]]] = set()
+        self._root = load_document(path, MOST_BYTES)
+        if not (isinstance(self._root.data, dict) and {"procedure", "steps"} & set(self._root.data)):
+            text = "this is no procedure: it has neither 'procedure' nor 'steps'"
+            raise FileMistakes(path, [FileMistake(0, "", text)])
         self._read(self._root, ProcedureFile, ())
-        self._check_scopes(
-            self._root, part(self._root.data, "steps"), ("steps",), _Scope(chain=(path.resolve(),))
-        )
+        self._check_scopes(self._root, part(self._root.data, "steps"), ("steps",), _Scope())
 
     @property
     def sha256(self) -> str:
@@ -87,54 +109,88 @@ class _Tree:
             self.mistakes += [self.located(document, mistake) for mistake in error.mistakes]
         for place, verb, body in _walk(part(document.data, "steps"), ("steps",)):
             if verb == _INCLUDE and isinstance(body, str):
-                self._include(document, place, body, (*chain, here))
+                problem = self._include(document, body, (*chain, here))
+                if problem:
+                    at = document.mistake((*place, _INCLUDE), problem)
+                    self.mistakes.append(self.located(document, at))
 
-    def _include(self, document: Document, place: Place, name: str, chain: tuple[Path, ...]) -> None:
+    def _include(self, document: Document, name: str, chain: tuple[Path, ...]) -> str:
+        """Read an included file, once; return why it cannot be included, empty where it can."""
         path = document.path.parent / name
-        problem = ""
-        if path.resolve() in chain:
-            circle = [*chain[chain.index(path.resolve()) :], path]
-            problem = f"the file includes itself: {' → '.join(p.name for p in circle)}"
-        elif path.resolve() not in self.documents:
-            try:
-                included = load_document(path)
-            except FileMistakes as error:
-                if path.is_file():
-                    self.mistakes += [replace(mistake, file=str(path)) for mistake in error.mistakes]
-                else:
-                    problem = str(error)
-            else:
-                self._read(included, IncludedFile, chain)
-        if problem:
-            self.mistakes.append(self.located(document, document.mistake((*place, _INCLUDE), problem)))
+        key = _resolved(path)
+        if key in chain:
+            circle = [*chain[chain.index(key) :], path]
+            return f"the file includes itself: {' → '.join(p.name for p in circle)}"
+        if key in self.documents:
+            return ""
+        if key not in self._refused:
+            self._refused[key] = self._included(path, key, chain)
+        return self._refused[key]
+
+    def _included(self, path: Path, key: Path, chain: tuple[Path, ...]) -> str:
+        if path.suffix.lower() not in _SUFFIXES or key.suffix.lower() not in _SUFFIXES:
+            return f"{path}: a file to include ends with .yaml or .yml"
+        if len(self.documents) > MOST_FILES:
+            return f"more than {MOST_FILES} files are included; put their steps into fewer"
+        if len(chain) >= MOST_DEEP:
+            return f"{path.name}: files include each other more than {MOST_DEEP} deep; include it further up"
+        try:
+            included = load_document(path)
+        except FileMistakes as error:
+            return self._unreadable(path, error.mistakes[0])
+        if not (isinstance(included.data, dict) and "steps" in included.data):
+            return f"{path}: this is no procedure: it has no 'steps'"
+        self._read(included, IncludedFile, chain)
+        return ""
+
+    def _unreadable(self, path: Path, mistake: FileMistake) -> str:
+        """Say what is wrong with an included file, and quote nothing of it: it may be none of a procedure's."""
+        if not mistake.line:
+            return f"{path}: {mistake.text}"
+        told = f"this is not YAML in UTF-8; 'bench check {path.name}' says more"
+        self.mistakes.append(FileMistake(mistake.line, "", told, str(path)))
+        return ""
 
     def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
-        """Check that every verb stands where it may; works on what is written, right or wrong."""
+        """Check that every verb stands where it may; works on what is written, right or wrong.
+
+        An included file is gone through once for each set of verbs that it stands in: no other tells more.
+        """
         for entry, verb, body in _entries(steps, place):
             problem = scope.problem(verb)
             if problem:
                 self.mistakes.append(self.located(document, document.mistake((*entry, verb), problem)))
             inner = scope.inside(verb)
             if verb == _INCLUDE and isinstance(body, str):
-                path = (document.path.parent / body).resolve()
-                if path in self.documents and path not in scope.chain:
-                    included = self.documents[path]
-                    entered = replace(inner, chain=(*scope.chain, path))
-                    self._check_scopes(included, part(included.data, "steps"), ("steps",), entered)
+                key = _resolved(document.path.parent / body)
+                if key in self.documents and (key, inner.within) not in self._checked:
+                    self._checked.add((key, inner.within))
+                    included = self.documents[key]
+                    self._check_scopes(included, part(included.data, "steps"), ("steps",), inner)
             else:
                 self._check_scopes(document, part(body, "steps"), (*entry, verb, "steps"), inner)
 
 
+_SUFFIXES: Final = frozenset({".yaml", ".yml"})
+
+
+def _resolved(path: Path) -> Path:
+    """Return a path with its links followed; itself where that cannot be, and reading it will say why."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path
+
+
 @dataclass(frozen=True)
 class _Scope:
-    """What a step stands in: the verbs around it, and the files that lead to it."""
+    """What a step stands in: the verbs around it."""
 
     within: frozenset[str] = frozenset()
-    chain: tuple[Path, ...] = ()
 
     def inside(self, verb: str) -> _Scope:
         """Return the scope of the steps of a verb."""
-        return replace(self, within=self.within | {verb})
+        return _Scope(self.within | {verb})
 
     def problem(self, verb: str) -> str:
         """Return why a verb cannot stand here, empty where it can."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.readings.cells import as_cell, of_cell
 from bench.readings.table import (
     FREE,
     REFERENCE,
@@ -65,6 +66,16 @@ def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool 
     then a count); with `skip_bad_rows` they are left out and listed in `Readings.skipped`.
     """
     header, body = split_table(path, _example_header())
+    numbers = {
+        *REQUIRED,
+        *OPTIONAL,
+        *(f"u{axis}_{sd}{s}" for axis in "xyz" for sd in ("", "sd_") for s in UNITS),
+    }
+    text = [k for k, name in enumerate(header) if name not in numbers]
+    for _, cells in body:
+        for k in text:
+            if k < len(cells):
+                cells[k] = of_cell(cells[k])
     return _read(path, header, body, installations, skip_bad_rows=skip_bad_rows)
 
 
@@ -153,7 +164,7 @@ def split_table(path: Path, example: str) -> tuple[list[str], list[tuple[int, li
         raise ReadingsError(f"{path}: not a UTF-8 text file; save it as CSV in UTF-8") from error
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        header = _without_empty_end([name.strip().lower() for name in next(reader, [])], 0)
+        header = _without_empty_end([of_cell(name).strip().lower() for name in next(reader, [])], 0)
         body = []
         line = reader.line_num + 1
         for cells in reader:
@@ -351,7 +362,7 @@ def format_csv(readings: Readings) -> str:
         table[f"u{axis}_{suffix}"] = (_text(v) for v in readings.signal[:, i])
     for i, axis in enumerate("xyz"):
         table[f"u{axis}_sd_{suffix}"] = (_text(v) for v in readings.signal_sd[:, i])
-    table.update({name: cells.tolist() for name, cells in readings.extra.items()})
+    table.update({as_cell(name): map(as_cell, cells.tolist()) for name, cells in readings.extra.items()})
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\r\n")
     writer.writerow(table)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from math import isfinite
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import CHANNELS, Floats
 from bench.readings.table import REFERENCE_V, SCAN_ORDER, Readings, make_readings
 
 Triple = tuple[float, ...]
@@ -80,18 +81,51 @@ class Reading:
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Reading:
-        """Return the reading of an event, of older versions, too. Raises `KeyError`, `TypeError` for none."""
-        given: dict[str, Any] = {
-            name: tuple(row[key]) if isinstance(row[key], list) else row[key]
-            for name, key in ((of.name, _KEYS.get(of.name, of.name)) for of in fields(cls))
-            if key in row
-        }
-        outlier = tuple(None if found is None else Outlier(**found) for found in given.get("outlier", _NONE))
-        return cls(**given | {"outlier": outlier})
+        """Return the reading of an event, of older versions, too.
+
+        Raises `KeyError`, `TypeError`, `ValueError` for what is none.
+        """
+        given: dict[str, Any] = {}
+        for name, key in _RECORDED:
+            if key in row:
+                value = row[key]
+                given[name] = tuple(value) if type(value) is list else value
+        found = given.get("outlier", _NONE)
+        given["outlier"] = _NONE if found == _NONE else tuple(one and Outlier(**one) for one in found)
+        reading = cls(**given)
+        reading._check()
+        return reading
+
+    def _check(self) -> None:
+        """Raise `ValueError` or `TypeError` where what is reckoned with is no number, or not as many."""
+        if not len(self.mean) == len(self.sd) == len(CHANNELS):
+            raise ValueError("a reading has three channels")
+        if not type(self.series) is type(self.pass_number) is type(self.point) is int:
+            raise ValueError("series, pass and point of a reading are whole numbers")
+        if not type(self.installation) is type(self.unit) is type(self.scan_order) is str:
+            raise ValueError("a text of a reading is none")
+        may_be = (
+            self.angle_deg,
+            self.target_deg,
+            self.time_s,
+            self.temperature_c,
+            self.reference_v,
+            *self.sd,
+        )
+        for number in (*self.mean, self.direction, *may_be):
+            if number is not None and (type(number) not in _NUMBERS or not isfinite(number)):
+                raise ValueError("a number of a reading is none")
+        if None in self.mean:
+            raise ValueError("a reading without a mean is none")
 
 
 _KEYS: Final = {"pass_number": "pass"}
 """What is called otherwise in the record."""
+
+_RECORDED: Final = tuple((of.name, _KEYS.get(of.name, of.name)) for of in fields(Reading))
+"""The fields of a reading with what they are called in the record."""
+
+_NUMBERS: Final = frozenset({int, float})
 
 
 def readings_of(taken: Sequence[Reading], source: str) -> Readings:

@@ -13,7 +13,7 @@ from bench.analysis.calibration import Calibration, LackOfFit, Verification
 from bench.base.numbers import fixed, places, probability, scale_for, two_digits
 from bench.report import plots, tables
 from bench.report.content import ReportContent
-from bench.report.template import page_template
+from bench.report.template import page
 
 FITS: Final = 0.01
 """Probability of lack of fit below which the page says that model and readings disagree."""
@@ -29,7 +29,8 @@ RULES: Final = {
 def render_report(content: ReportContent) -> str:
     """Return the report as one self-contained HTML page; the same content gives the same text."""
     calibration, other = content.calibration, content.other
-    return page_template("report.html.j2").render(
+    return page(
+        "report.html.j2",
         content=content,
         calibration=calibration,
         verdict=verdict(content.verification),

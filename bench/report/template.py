@@ -1,14 +1,20 @@
-"""The templates of the pages: one way to load them."""
+"""The templates of the pages: one way to fill them."""
 
 from __future__ import annotations
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bench.base.numbers import typeset
+from bench.base.visible import visible
 
 
-def page_template(name: str) -> Template:
-    """Return a template of this folder; what a page does not give to it is an error, and all is escaped."""
+def page(name: str, **content: Any) -> str:
+    """Return the page that a template of this folder makes of its content.
+
+    What a page does not give to it is an error. All is escaped, and no character in it acts unseen.
+    """
     environment = Environment(
         loader=PackageLoader("bench.report", "templates"),
         autoescape=True,
@@ -17,4 +23,4 @@ def page_template(name: str) -> Template:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
-    return environment.get_template(name)
+    return visible(environment.get_template(name).render(**content))

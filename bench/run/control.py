@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from bench.base.visible import in_json
 from bench.run.states import Wish
 
 CONTROL: Final = "control.jsonl"
@@ -77,13 +78,13 @@ class ControlFile:
         self._heard += len(line)
         try:
             return RunControl.from_json(json.loads(line))
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
     """Leave a wish in the folder of a run. Raises `OSError` where it cannot be written."""
-    line = json.dumps(control.to_json(), ensure_ascii=False)
+    line = in_json(json.dumps(control.to_json(), ensure_ascii=False))
     with (folder / CONTROL).open("a", encoding="utf-8") as file:
         file.write(line + "\n")
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, Final
 
 from bench.readings.reading import Reading
@@ -63,6 +65,10 @@ Result = Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelecte
 _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered)
 """Results, which their fields tell apart in a record."""
 
+_FIELDS: Final[Mapping[Callable[..., Result], tuple[str, ...]]] = {
+    kind: tuple(of.name for of in fields(kind)) for kind in _KINDS
+}
+
 
 def result_to_json(result: Result | None) -> dict[str, Any]:
     """Return what is recorded of a step."""
@@ -72,11 +78,14 @@ def result_to_json(result: Result | None) -> dict[str, Any]:
 
 
 def result_from_json(data: Mapping[str, Any]) -> Result | None:
-    """Return what a step brought from what is recorded of it."""
+    """Return what a step brought from what is recorded of it, of a reading all but its samples.
+
+    Raises `KeyError`, `TypeError`, `ValueError` for what no step brings.
+    """
     if "reading" in data:
-        return Reading.from_json(data["reading"])
-    for kind in _KINDS:
-        values: dict[str, Any] = {of.name: data[of.name] for of in fields(kind) if of.name in data}
+        return Reading.from_json(data["reading"] | {"samples": {}})
+    for kind, names in _FIELDS.items():
+        values: dict[str, Any] = {name: data[name] for name in names if name in data}
         if values:
             return kind(**values)
     return None
@@ -121,8 +130,34 @@ class EventType(StrEnum):
     """`words`, a sentence: instruments that state one serial number."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
+    CHAMBER_SLOW = "chamber_slow"
+    """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
+
+
+MOST: Final = 1_000_000
+"""No plan has as many steps, and no run as many mountings: what counts more of them is none of ours."""
+
+_Told = tuple[tuple[str, type[object]], ...]
+_STEP: Final[_Told] = (("step", int),)
+_STEPS: Final[_Told] = (("first", int), ("last", int))
+_TOLD: Final[Mapping[str, _Told]] = {
+    EventType.RUN_STARTED: (*_STEP, ("instruments", dict)),
+    EventType.RUN_RESUMED: (*_STEP, ("instruments", dict)),
+    EventType.LEFT_SAFE: (("to_do", dict),),
+    EventType.STEP_STARTED: _STEP,
+    EventType.STEP_DONE: _STEP,
+    EventType.STEP_FAILED: (*_STEP, ("error", str)),
+    EventType.SKIPPED: _STEPS,
+    EventType.REDO: _STEPS,
+    EventType.REMOUNTED: (("installation", str), ("series", int), ("now_series", int)),
+    EventType.EARLY_SIGN: (("sentence", str),),
+    EventType.WISH_REFUSED: (("wish", str), ("why", str)),
+}
+"""What an event must tell, and as what, for those who read records to rely on it."""
+
+_NUMBERS: Final = frozenset({int, float})
 
 
 @dataclass(frozen=True)
@@ -152,8 +187,16 @@ class Event:
     def from_json(cls, line: Mapping[str, Any]) -> Event:
         """Return a recorded event. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
         data = dict(line)
-        number, time, bench_s, kind = (data.pop(name) for name in ("n", "time", "bench_s", "type"))
-        return cls(int(number), str(time), float(bench_s), str(kind), data)
+        number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
+        if type(number) is not int or type(time) is not str or type(kind) is not str:
+            raise ValueError("its number, time or type is none")
+        if type(bench_s) not in _NUMBERS or not math.isfinite(bench_s):
+            raise ValueError("its bench time is no number")
+        for name, kinds in _TOLD.get(kind, ()):
+            value: Any = data[name]
+            if type(value) is not kinds or (isinstance(value, int) and not 0 <= value < MOST):
+                raise ValueError(f"{name} is none")
+        return cls(number, time, float(bench_s), kind, data)
 
     @property
     def step(self) -> int:
@@ -165,7 +208,7 @@ class Event:
         """The steps that are skipped or to be done again."""
         return range(int(self.data["first"]), int(self.data["last"]) + 1)
 
-    @property
+    @cached_property
     def result(self) -> Result | None:
         """What a step brought; None for events that are not the end of one, and a step that brought nothing."""
         return result_from_json(self.data) if self.type == EventType.STEP_DONE else None

@@ -11,7 +11,8 @@ from pathlib import Path
 from bench.procedure.plan import Plan, Read
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
-from bench.run.record import MANIFEST, History, Manifest, RecordError, read_history, read_manifest
+from bench.run.history import History, read_history
+from bench.run.manifest import MANIFEST, Manifest, RecordError, read_manifest
 
 PLAN = "plan.json"
 BENCH = "bench.yaml"
@@ -47,7 +48,7 @@ class Run:
         """The plan that was, or is to be, carried out."""
         try:
             return Plan.from_json(json.loads((self.folder / PLAN).read_text(encoding="utf-8")))
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RecordError(
                 f"{self.folder / PLAN}: cannot be read ({error}); take it from a copy"
             ) from error

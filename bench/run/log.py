@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bench.base.visible import visible
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned
@@ -25,7 +26,9 @@ class RunLog:
             return
         try:
             with self._path.open("a", encoding="utf-8") as file:
-                file.write(f"{event.time[:19]}  {duration(event.bench_s):>11}  {self._text(event)}\n")
+                file.write(
+                    visible(f"{event.time[:19]}  {duration(event.bench_s):>11}  {self._text(event)}\n")
+                )
         except OSError:
             return
 

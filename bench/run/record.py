@@ -7,93 +7,22 @@ derived from these and can be made again.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, TypedDict, cast
+from typing import Any, Final
 
-from bench.readings.reading import Reading
+from bench.base.visible import in_json
 from bench.run.events import Event
-from bench.run.states import RunState, state_after
-
-EVENTS: Final = "events.jsonl"
-MANIFEST: Final = "run.json"
-FORMAT: Final = 1
+from bench.run.history import History, read_history
+from bench.run.manifest import EVENTS, FORMAT, MANIFEST, Manifest, RecordError, sha256
 
 Shield = Callable[[], AbstractContextManager[None]]
-
-
-class UnitUnderTest(TypedDict):
-    """The block that a run measures."""
-
-    type: str
-    serial: str
-
-
-class Manifest(TypedDict, total=False):
-    """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
-
-    `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
-    `readings` that has, and nothing of a procedure. `bench_why` says why that bench file was taken. `devices` says
-    where those drivers came from that are none of the bench's own, and is left out where there are none.
-    """
-
-    format: int
-    name: str
-    created: str
-    imported: str
-    readings: int
-    dry_run: bool
-    seed: int | None
-    operator: str
-    procedure: str
-    bench: str
-    bench_why: str
-    plan_hash: str
-    unit_under_test: UnitUnderTest
-    versions: dict[str, str]
-    devices: dict[str, str]
-    files: dict[str, str]
-
-
-class RecordError(Exception):
-    """A run folder that cannot be written or believed; the text says where, why and what to do."""
-
-
-@dataclass(frozen=True)
-class History:
-    """The events of a run, what is wrong with the file (sentences), and a half-written last line (`torn`)."""
-
-    events: tuple[Event, ...]
-    problems: tuple[str, ...]
-    torn: str = ""
-
-    @property
-    def readings(self) -> dict[int, Reading]:
-        """The readings by step, in the order of measurement; of a step taken again the last."""
-        by_step: dict[int, Reading] = {}
-        for event in self.events:
-            if (reading := event.reading) is not None:
-                by_step.pop(event.step, None)
-                by_step[event.step] = reading
-        return by_step
-
-    @property
-    def state(self) -> RunState:
-        """What became of the run; "running" and "paused" also stand for one whose program died."""
-        return state_after([event.type for event in self.events])
-
-
-def sha256(data: bytes) -> str:
-    """Return the SHA-256 of bytes in hexadecimal."""
-    return hashlib.sha256(data).hexdigest()
 
 
 class Record:
@@ -102,31 +31,20 @@ class Record:
     `shield` makes a context within which no signal interrupts the program.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        last_hash: str,
-        count: int,
-        now: Callable[[], datetime],
-        shield: Shield = nullcontext,
-    ) -> None:
+    def __init__(self, folder: Path, now: Callable[[], datetime], shield: Shield = nullcontext) -> None:
         self.folder = folder
         self._now = now
         self._shield = shield
-        self._last_hash = last_hash
-        self._count = count
+        self._last_hash, self._count, self._length = "", 0, 0
+        self._half_written = False
         try:
             # unbuffered: what a full disk refused is not tried again when the file is closed
             self._file = (folder / EVENTS).open("ab", buffering=0)
         except OSError as error:
             raise _cannot_write(folder, error) from error
-        try:
-            _lock(self._file.fileno())
-        except OSError as error:
+        if not _lock(self._file.fileno()):
             self._file.close()
-            raise RecordError(
-                f"{folder}: another program is writing this run; wait for it or end it"
-            ) from error
+            raise RecordError(f"{folder}: another program is writing this run; wait for it or end it")
 
     @classmethod
     def create(
@@ -146,12 +64,14 @@ class Record:
             **manifest,
             "files": {name: sha256(content) for name, content in inputs.items()},
         }
-        text = json.dumps(manifest, indent=1, ensure_ascii=False).encode()
+        text = in_json(json.dumps(manifest, indent=1, ensure_ascii=False)).encode()
         try:
             _make_folder(folder, {**inputs, MANIFEST: text})
         except OSError as error:
             raise _cannot_write(folder, error) from error
-        return cls(folder, sha256(text), 0, now, shield)
+        record = cls(folder, now, shield)
+        record._last_hash = sha256(text)
+        return record
 
     @classmethod
     def reopen(
@@ -159,22 +79,28 @@ class Record:
     ) -> tuple[Record, History]:
         """Open a run to go on with it; a torn last line is cut off (and stands in the history's `torn`).
 
-        Raises `RecordError` when the record was changed.
+        Everything is read while no other program can write. Raises `RecordError` when one does, or when the
+        record was changed.
         """
-        history = read_history(folder)
-        if history.problems:
-            raise RecordError(f"{folder}: the record cannot be trusted: {'; '.join(history.problems)}")
-        path = folder / EVENTS
-        content = path.read_bytes() if path.exists() else b""
-        whole = content[: content.rfind(b"\n") + 1]
+        if not (folder / MANIFEST).is_file():
+            raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)")
+        record = cls(folder, now, shield)
         try:
-            if len(whole) < len(content):
-                os.truncate(path, len(whole))
-        except OSError as error:
-            raise _cannot_write(folder, error) from error
-        lines = whole.split(b"\n")[:-1]
-        last = sha256(lines[-1] if lines else (folder / MANIFEST).read_bytes())
-        return cls(folder, last, len(lines), now, shield), history
+            history = read_history(folder)
+            if history.problems:
+                raise RecordError(f"{folder}: the record cannot be trusted: {'; '.join(history.problems)}")
+            record._go_on_after(history)
+        except BaseException:
+            record.close()
+            raise
+        return record, history
+
+    def _go_on_after(self, history: History) -> None:
+        """Take up where a history ends, which was read while this record held the file."""
+        self._last_hash, self._count, self._length = history.head, len(history.events), history.length
+        if history.torn:
+            self._cut_back()
+            self._check_place()
 
     def append(self, kind: str, bench_s: float, **data: Any) -> Event:
         """Write one event; it is on the disk when this returns. Raises `RecordError` (disk full, …)."""
@@ -182,19 +108,35 @@ class Record:
             return self._append(kind, bench_s, data)
 
     def _append(self, kind: str, bench_s: float, data: dict[str, Any]) -> Event:
+        if self._half_written:
+            self._cut_back()
+        self._check_place()
         event = Event(self._count + 1, self._now().isoformat(), bench_s, kind, data)
         whole_event = {**event.to_json(), "prev": self._last_hash}
-        line = json.dumps(whole_event, ensure_ascii=False, allow_nan=False).encode()
-        whole = self._file.tell()
+        line = in_json(json.dumps(whole_event, ensure_ascii=False, allow_nan=False)).encode()
         try:
             self._write(line + b"\n")
             os.fsync(self._file.fileno())
         except OSError as error:
-            self._cut_back(whole)
+            self._cut_back()
             raise _cannot_write(self.folder, error) from error
         self._last_hash = sha256(line)
+        self._length += len(line) + 1
         self._count = event.number
         return event
+
+    def _check_place(self) -> None:
+        """Raise `RecordError` where what is written would be lost, or would break another's chain."""
+        found = os.fstat(self._file.fileno())
+        if self._half_written:
+            raise RecordError(f"{self.folder}: a half-written line cannot be cut off; free the disk")
+        if not found.st_nlink:
+            raise RecordError(f"{self.folder}: was deleted while the run went on; what it recorded is lost")
+        if found.st_size != self._length:
+            raise RecordError(
+                f"{self.folder}: another program has written into {EVENTS}; nothing more is recorded, and "
+                f"'bench show {self.folder.name} --verify' tells whether it is whole"
+            )
 
     def close(self) -> None:
         """Let the file go."""
@@ -205,33 +147,62 @@ class Record:
         while data:
             data = data[self._file.write(data) :]
 
-    def _cut_back(self, length: int) -> None:
+    def _cut_back(self) -> None:
         """Remove a half-written line, so that the record stays whole."""
         try:
-            os.ftruncate(self._file.fileno(), length)
+            os.ftruncate(self._file.fileno(), self._length)
         except OSError:
-            return  # the line stays torn; it is found and cut off at the next opening
+            self._half_written = True  # it is tried again before the next line, and at the next opening
+        else:
+            self._half_written = False
 
 
-def _lock(descriptor: int) -> None:
-    """Hold the file against a second writer, where the system has such locks (not on Windows)."""
+LOOKS: Final = 10_000
+"""How often a writer looks whether those who only look at the file have let it go."""
+
+
+def _lock(descriptor: int) -> bool:
+    """Hold the file against a second writer; say whether it is held, or no such locks are to be had (Windows).
+
+    Whoever only looks whether the run is being written holds the file, shared, for a moment, and is no writer.
+    """
     try:
         import fcntl
     except ImportError:
-        return
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    for _ in range(LOOKS):
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            if not _shared(descriptor):
+                return False
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+        else:
+            return True
+    return False
+
+
+def _shared(descriptor: int) -> bool:
+    """Hold the file together with others that look at it; false where a writer has it."""
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def is_being_written(folder: Path) -> bool:
-    """Whether a program is carrying out this run now (always false where the system has no file locks)."""
+    """Whether a program is carrying out this run now; the file is opened for reading only.
+
+    Always false where the system has no file locks.
+    """
     try:
-        with (folder / EVENTS).open("ab") as file:
-            _lock(file.fileno())
-    except FileNotFoundError:
+        with (folder / EVENTS).open("rb") as file:
+            return not _shared(file.fileno())
+    except (OSError, ImportError):
         return False
-    except OSError:
-        return True
-    return False
 
 
 def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
@@ -262,58 +233,3 @@ def _cannot_write(folder: Path, error: OSError) -> RecordError:
         f"{folder}: cannot be written ({error.strerror or error}); what was recorded before is kept; "
         "free the disk, or choose another folder with --runs"
     )
-
-
-def read_manifest(folder: Path) -> Manifest:
-    """Return the inputs' manifest of a run. Raises `RecordError` when there is none."""
-    try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except OSError:
-        raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
-    except ValueError:
-        raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
-    if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
-        raise RecordError(f"{folder / MANIFEST}: damaged, not a manifest; take it from a copy of the run")
-    return cast(Manifest, manifest)
-
-
-def read_history(folder: Path) -> History:
-    """Read the events of a run and check the chain of hashes and the inputs' hashes."""
-    problems = [
-        f"{name} was changed since the run began"
-        for name, digest in read_manifest(folder).get("files", {}).items()
-        if not (folder / name).is_file() or sha256((folder / name).read_bytes()) != digest
-    ]
-    path = folder / EVENTS
-    try:
-        content = path.read_bytes() if path.exists() else b""
-    except OSError as error:
-        raise RecordError(
-            f"{path}: cannot be read ({error.strerror}); take it from a copy of the run"
-        ) from error
-    end = content.rfind(b"\n") + 1
-    torn = content[end:].decode(errors="replace")
-    events = []
-    previous = sha256((folder / MANIFEST).read_bytes())
-    for number, line, event, prev in _parse(content[:end]):
-        if event is None:
-            problems.append(f"{EVENTS}, line {number}: not an event")
-            break
-        if prev != previous or event.number != number:
-            problems.append(
-                f"{EVENTS}, line {number}: the chain is broken here (a line was changed or removed)"
-            )
-            break
-        events.append(event)
-        previous = sha256(line)
-    return History(tuple(events), tuple(problems), torn)
-
-
-def _parse(content: bytes) -> Iterator[tuple[int, bytes, Event | None, str]]:
-    for number, line in enumerate(content.split(b"\n")[:-1], start=1):
-        try:
-            data = json.loads(line)
-            previous = str(data.pop("prev"))
-            yield number, line, Event.from_json(data), previous
-        except (ValueError, KeyError, TypeError, AttributeError):
-            yield number, line, None, ""

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
-from bench.readings.reading import Reading
-from bench.run.events import Event, EventType, Mounted, Result, TemperatureSet
-from bench.run.record import History
+from bench.run.events import Event, EventType
+from bench.run.manifest import RecordError
+
+if TYPE_CHECKING:
+    from bench.run.history import History
 
 
 @dataclass
@@ -30,11 +34,17 @@ class Progress:
 
     @classmethod
     def of(cls, history: History) -> Progress:
-        """Return what the events of a run say."""
-        progress = cls()
-        for event in history.events:
-            progress.take(event)
-        return progress
+        """Return what the events of a run say, to be gone on with."""
+        of = history.progress
+        return replace(
+            of,
+            done=set(of.done),
+            skipped=set(of.skipped),
+            redone=Counter(of.redone),
+            begun_s=dict(of.begun_s),
+            identities=dict(of.identities),
+            remounts=dict(of.remounts),
+        )
 
     def take(self, event: Event) -> None:
         """Take note of an event."""
@@ -45,7 +55,7 @@ class Progress:
                 self.begun_s[event.step] = event.bench_s
             case EventType.STEP_DONE:
                 self.done.add(event.step)
-                self._note_temperature(event.result)
+                self._note_temperature(event.data)
             case EventType.REMOUNTED:
                 place = (int(event.data["series"]), str(event.data["installation"]))
                 self.remounts[place] = int(event.data["now_series"])
@@ -56,12 +66,15 @@ class Progress:
             case EventType.SKIPPED:
                 self.skipped.update(event.steps)
 
-    def _note_temperature(self, result: Result | None) -> None:
-        """Keep the temperature last told or read; after a new setting it is not known."""
-        if isinstance(result, Reading | Mounted):
-            self.temperature_c = result.temperature_c
-        elif isinstance(result, TemperatureSet):
-            self.temperature_c = None
+    def _note_temperature(self, brought: Mapping[str, Any]) -> None:
+        """Keep the temperature last told or read; after a new setting it is not known.
+
+        What a step brought is looked at as recorded: to make the result of each of many would take seconds.
+        """
+        if (reading := brought.get("reading")) is not None:
+            self.temperature_c = reading.get("temperature_c")
+        elif "temperature_c" in brought or "target_c" in brought:
+            self.temperature_c = brought.get("temperature_c")
 
     def reopen(self, plan: Plan, step: int) -> None:
         """Take up a point again at `step`: what leads to its open readings is done anew, readings are not."""
@@ -95,9 +108,14 @@ def resume_point(plan: Plan, history: History) -> ResumePoint:
 
     Between a turn and the readings of its point the head may have been moved: the turn is made again, and
     with it what stands between the last reading taken and the next. Readings taken are never repeated.
-    `step` is `len(plan.steps)` when nothing is left to do.
+    `step` is `len(plan.steps)` when nothing is left to do. Raises `RecordError` for steps that the plan lacks.
     """
     progress = Progress.of(history)
+    if beyond := [step for step in (progress.done | progress.skipped) if step >= len(plan.steps)]:
+        raise RecordError(
+            f"the record tells of step {max(beyond) + 1}, and the plan has {len(plan.steps)}: "
+            "they are not of one run; take both from a copy of it"
+        )
     last_s = history.events[-1].bench_s if history.events else 0.0
     step = next((i for i in range(len(plan.steps)) if not progress.settled(i)), len(plan.steps))
     turn = turn_before(plan, step)

@@ -15,15 +15,18 @@ from typing import Any, Final
 
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
+from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
+from bench.run.manifest import RecordError
 from bench.run.prompts import agree, confirm
-from bench.run.record import Record, RecordError
+from bench.run.record import Record
 from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
 from bench.run.same_serial import same_serials
 from bench.run.settling import Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
 from bench.run.watch.sign import EarlySign
+from bench.run.way_out import leave_safe, with_notes
 from bench.run.workbench import NAP_S, Instruments, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import (
@@ -56,7 +59,8 @@ class Runner:
 
     `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
     resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
-    person's, not the bench's. `least_samples` is how few samples every voltmeter takes.
+    person's, not the bench's. `least_samples` is how few samples every voltmeter takes. After `hold_signals` no
+    signal raises anything any more. A chamber that hardly moves is told of after `slow_chamber_s`.
     """
 
     plan: Plan
@@ -73,7 +77,9 @@ class Runner:
     watch: Watch = lambda reading: ()
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
+    slow_chamber_s: float = SLOW_AFTER_S
     on_settling: Callable[[Settling], None] = lambda state: None
+    hold_signals: Callable[[], None] = lambda: None
     state: RunState = RunState.READY
     _zero_s: float = 0.0
 
@@ -88,39 +94,46 @@ class Runner:
             on_settling=self.on_settling,
             block_limits_c=self.block_limits_c,
             least_samples=self.least_samples,
+            slow_chamber_s=self.slow_chamber_s,
+            tell=lambda kind, data: self._emit(kind, **data),
         )
 
     def run(self, resume: ResumePoint | None = None) -> None:
         """Open the instruments, carry out the plan, leave the bench safe.
 
         A resumed run goes on where `resume` says, after the bench was brought to where the steps before left
-        it; `progress` then says what is done. Raises what went wrong, recorded, after every
-        instrument was made safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`.
+        it; `progress` then says what is done. Raises what went wrong first, recorded, after every instrument was
+        made safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`. What else went wrong
+        on the way out, and what a person must still do, is in its notes.
         """
+        cause: BaseException | None = None
+        try:
+            try:
+                self._run(resume)
+            finally:
+                self.hold_signals()
+        except BaseException as error:
+            cause = error
+        self._way_out(cause)
+        if cause is not None:
+            raise cause
+
+    def _run(self, resume: ResumePoint | None) -> None:
         start, bench_s = (resume.step, resume.bench_s) if resume else (0, 0.0)
         self._workbench.visits = self.progress.remounts
-        try:
-            self._zero_s = self.clock.now_s() - bench_s
-            opened = self.instruments.open()
-            identities = {name: str(identity) for name, identity in opened.items()}
-            self._insist(partial(self._compare, identities))
-            self._change(
-                EventType.RUN_RESUMED if resume else EventType.RUN_STARTED, step=start, instruments=identities
-            )
-            for words in same_serials(opened):
-                self._emit(EventType.SAME_SERIAL, words=words)
-            if resume:
-                self._restore(resume)
-            self._carry_out(start)
-            self._change(EventType.RUN_FINISHED)
-        except KeyboardInterrupt:
-            self._leave(EventType.RUN_INTERRUPTED)
-            raise
-        except BenchError as error:
-            self._leave(EventType.RUN_FAILED, error=str(error), instrument=error.instrument)
-            raise
-        finally:
-            self._left_safe(self.instruments.leave_safe())
+        self._zero_s = self.clock.now_s() - bench_s
+        opened = self.instruments.open()
+        identities = {name: str(identity) for name, identity in opened.items()}
+        self._insist(partial(self._compare, identities))
+        self._change(
+            EventType.RUN_RESUMED if resume else EventType.RUN_STARTED, step=start, instruments=identities
+        )
+        for words in same_serials(opened):
+            self._emit(EventType.SAME_SERIAL, words=words)
+        if resume:
+            self._restore(resume)
+        self._carry_out(start)
+        self._change(EventType.RUN_FINISHED)
 
     def _carry_out(self, start: int) -> None:
         index = start
@@ -139,22 +152,38 @@ class Runner:
         self.state = TRANSITIONS[self.state][event]
         self._emit(event, **data)
 
-    def _leave(self, event: EventType, **data: Any) -> None:
-        """Record how the run stopped, where it had not ended already."""
+    def _way_out(self, cause: BaseException | None) -> None:
+        """Leave the bench safe, then record how the run stopped and what a person must still do."""
+        to_do = leave_safe(self.instruments, self._workbench.demanded_c)
+        try:
+            self._record_stop(cause)
+            if to_do:
+                self._emit(EventType.LEFT_SAFE, to_do=to_do)
+        except RecordError as error:
+            if cause is not None and not isinstance(cause, RecordError):
+                cause.add_note(str(error))
+        if cause is not None and to_do:
+            cause.add_note("; ".join(f"{name} {what}" for name, what in to_do.items()))
+
+    def _record_stop(self, cause: BaseException | None) -> None:
+        """Record what stopped the run, where it had not ended already and can be written."""
+        match cause:
+            case None | RecordError() | RunAborted():
+                return
+            case Exception():
+                instrument = cause.instrument if isinstance(cause, BenchError) else ""
+                event, data = EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}
+            case _:
+                event, data = EventType.RUN_INTERRUPTED, {}
         if event in TRANSITIONS[self.state]:
             self._change(event, **data)
-
-    def _left_safe(self, to_do: dict[str, str]) -> None:
-        """Record what a person must still do; a record that cannot be written has been told of before."""
-        if to_do:
-            with suppress(RecordError):
-                self._emit(EventType.LEFT_SAFE, to_do=to_do)
 
     def _emit(self, kind: EventType, **data: Any) -> None:
         event = self.record.append(kind, self._now_s(), **data)
         self.progress.take(event)
         for observer in self.observers:
-            observer(event)
+            with suppress(OSError):  # a terminal that was closed shows nothing more; the run goes on
+                observer(event)
 
     def _now_s(self) -> float:
         return self.clock.now_s() - self._zero_s

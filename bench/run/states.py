@@ -69,19 +69,27 @@ HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
 """Which wishes are heard in which state."""
 
 
+_CHANGING: Final = frozenset(event for row in TRANSITIONS.values() for event in row)
+_UNDER_WAY: Final = frozenset({RunState.RUNNING, RunState.PAUSED})
+
+
 def state_after(events: list[str]) -> RunState:
     """Return the state that a run's events lead to; events that change no state are passed over.
 
     Raises `ValueError` for a sequence that the table does not allow.
     """
     state = RunState.READY
-    changing = {event for row in TRANSITIONS.values() for event in row}
     for event in events:
-        if event not in changing:
-            continue
-        if event == EventType.RUN_RESUMED and state in {RunState.RUNNING, RunState.PAUSED}:
-            continue  # the program died without a word, and another took the run up
-        if event not in TRANSITIONS[state]:
-            raise ValueError(f"{event} cannot follow on {state}")
-        state = TRANSITIONS[state][event]
+        state = state_after_one(state, event)
     return state
+
+
+def state_after_one(state: RunState, event: str) -> RunState:
+    """Return the state that an event on record leads to. Raises `ValueError` where the table does not allow it."""
+    if event not in _CHANGING:
+        return state
+    if event == EventType.RUN_RESUMED and state in _UNDER_WAY:
+        return state  # the program died without a word, and another took the run up
+    if event not in TRANSITIONS[state]:
+        raise ValueError(f"{event} cannot follow on {state}")
+    return TRANSITIONS[state][event]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Collection
 from typing import Final, TextIO
 
@@ -48,6 +49,10 @@ class TerminalPerson:
         self._console = console
         self._pause = pause
         self._go_on = go_on
+        if isinstance(answers, io.TextIOWrapper) and answers.errors != "backslashreplace":
+            answers.reconfigure(
+                errors="backslashreplace"
+            )  # bytes that are no text are an answer that does not fit
 
     def ask(self, prompt: Prompt) -> Answer:
         """Show the prompt and read a line.
@@ -218,6 +223,11 @@ def sentence(event: Event) -> str:
             return f"failed, tried again: {data['error']}"
         case EventType.WISH_REFUSED:
             return f"{data['wish']} is not possible: {data['why']}"
+        case EventType.CHAMBER_SLOW:
+            return (
+                f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
+                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
+            )
         case EventType.LEFT_SAFE:
             return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
     return event.type

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from bench.base.arrays import CHANNELS
 from bench.procedure.plan import Ask, Mount, Read, SelectInput, SetTemperature, Settle, Step, Turn, Wait
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.reading import Reading
+from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
 from bench.run.events import (
     Answered,
     CameToRest,
+    EventType,
     InputSelected,
     Mounted,
     Result,
@@ -52,11 +54,15 @@ QUICK_NPLC: Final = 1.0
 
 @dataclass(frozen=True)
 class Instruments:
-    """The bench as the runner sees it. Together the voltmeters carry the channels x, y, z once each."""
+    """The bench as the runner sees it. Together the voltmeters carry the channels x, y, z once each.
+
+    `opened` are the names of those that were opened: another one may be somebody else's.
+    """
 
     voltmeters: Sequence[Voltmeter]
     head: DividingHead
     chamber: ThermalChamber | None = None
+    opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
@@ -69,28 +75,12 @@ class Instruments:
         for instrument in self.all():
             try:
                 identities[instrument.name] = instrument.open()
+                self.opened.add(instrument.name)
             except BenchError as error:
                 failures.append(error)
         if failures:
             raise failures[0] if len(failures) == 1 else NotConnected(failures)
         return identities
-
-    def leave_safe(self) -> dict[str, str]:
-        """Set the chamber to its safe setting, close everything (a head stops, a meter goes to local).
-
-        Returns what a person must still do, by instrument. Never raises.
-        """
-        to_do = {}
-        if self.chamber is not None:
-            try:
-                note = self.chamber.make_safe()
-            except BenchError as error:
-                note = str(error)
-            if note:
-                to_do[self.chamber.name] = note
-        for instrument in self.all():
-            instrument.close()
-        return to_do
 
 
 @dataclass
@@ -100,7 +90,8 @@ class Workbench:
     `visits` gives the series that readings of a (series, installation) are recorded with, where the block
     was mounted again in the middle of it; `block_limits_c` are the temperatures that the block may have;
     `least_samples` is how few samples every voltmeter takes, by which signals are seen to settle;
-    `temperature_c` is the temperature last read or told.
+    After `slow_chamber_s` `tell` is told of a chamber that hardly moves.
+    `temperature_c` is the temperature last read or told, `demanded_c` what the chamber was last sent to.
     """
 
     instruments: Instruments
@@ -112,11 +103,17 @@ class Workbench:
     on_settling: Callable[[Settling], None] = lambda state: None
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
+    slow_chamber_s: float = SLOW_AFTER_S
+    tell: Callable[[EventType, dict[str, Any]], None] = lambda kind, data: None
     visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
     _reference_v: float | None = field(default=None, init=False)
     _position: HeadPosition | None = field(default=None, init=False)
     temperature_c: float | None = field(default=None, init=False)
+    demanded_c: float | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._chamber_watch = ChamberWatch(self.clock, self.slow_chamber_s, self.tell)
 
     def execute(self, step: Step) -> Result | None:
         """Carry out a step and return what it brought. Raises `BenchError`."""
@@ -128,7 +125,7 @@ class Workbench:
             case Read():
                 return self._read(step)
             case Wait():
-                self._wait(step.duration_s)
+                self._wait(step)
                 return None
             case SetTemperature():
                 return self.set_temperature(step)
@@ -153,9 +150,14 @@ class Workbench:
 
     def set_temperature(self, step: SetTemperature) -> TemperatureSet:
         """Set the chamber."""
-        self._chamber(f"{step.key}: the procedure sets a temperature").set_temperature(
-            step.target_c, step.key
-        )
+        chamber = self._chamber(f"{step.key}: the procedure sets a temperature")
+        before_c, self.demanded_c = self.demanded_c, step.target_c
+        try:
+            chamber.set_temperature(step.target_c, step.key)
+        except LimitExceeded:  # the only failure by which nothing was sent
+            self.demanded_c = before_c
+            raise
+        self._chamber_watch.begin(chamber, step.target_c, step.key)
         self.temperature_c = None
         return TemperatureSet(step.target_c)
 
@@ -172,10 +174,11 @@ class Workbench:
         self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
-    def _wait(self, duration_s: float) -> None:
-        end_s = self.clock.now_s() + duration_s
+    def _wait(self, step: Wait) -> None:
+        end_s = self.clock.now_s() + step.duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
+            self._chamber_watch.look(self.instruments.chamber, step.key)
             self.clock.sleep(min(NAP_S, left_s))
 
     def _settle(self, step: Settle) -> CameToRest:
@@ -193,7 +196,7 @@ class Workbench:
                     "take a plain soak in the procedure, such as 'soak: 4 h'",
                 )
             state = wait_until_settled(
-                lambda: (chamber.temperature(step.key, settling=True),),
+                lambda: (self._air_c(chamber, step.key),),
                 criterion,
                 self.clock,
                 self._nap,
@@ -201,6 +204,11 @@ class Workbench:
                 unit="°C",
             )
         return CameToRest(state.elapsed_s, state.values)
+
+    def _air_c(self, chamber: ThermalChamber, key: str) -> float:
+        air_c = chamber.temperature(key, settling=True)
+        self._chamber_watch.take(chamber.name, air_c)
+        return air_c
 
     def _signals(self) -> tuple[float, ...]:
         samples = self._sample(self.instruments.voltmeters)

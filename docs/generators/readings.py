@@ -51,6 +51,10 @@ Columns stand in any order, in small or large letters. Unknown columns are kept 
 Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
 computed until it is mended or left out with `--skip-bad-rows`.
 
+A text in an unknown column, or its name, that begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end)
+is exported with an apostrophe in front, so that a spreadsheet keeps it as text; control characters are exported
+as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file undoes both. Numbers stay numbers.
+
 `bench export RUN --csv NAME.csv` writes `NAME.csv.json` beside it: whether the instruments were simulated, the
 run, the unit, the bench file with its SHA-256, the identities of the instruments, and the SHA-256 of the
 readings file. As long as this is the readings file's, an analysis of the file is as marked as one of the run, and

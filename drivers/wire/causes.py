@@ -56,6 +56,10 @@ _BY_STATUS: Final[dict[int, Cause]] = {
         "is not an address that can be understood",
         "write it like TCPIP::192.0.2.5::5025::SOCKET, GPIB0::22::INSTR or ASRL/dev/ttyUSB0::INSTR",
     ),
+    StatusCode.error_resource_locked: (
+        "is locked by another program or computer",
+        "end the program that uses it, or wait for it",
+    ),
     StatusCode.error_no_listeners: (
         "has no listener on the GPIB bus",
         "check the instrument's GPIB address, its power and the cable",

@@ -19,7 +19,13 @@ from typing import Any, Final, Literal, cast
 
 import pyvisa
 from pyvisa import constants
-from pyvisa.resources import GPIBInstrument, MessageBasedResource, SerialInstrument, TCPIPSocket
+from pyvisa.resources import (
+    GPIBInstrument,
+    MessageBasedResource,
+    SerialInstrument,
+    TCPIPInstrument,
+    TCPIPSocket,
+)
 
 from drivers.clock import Clock, SystemClock
 
@@ -81,6 +87,7 @@ class Connection:
         try:
             connection._prove_and_tune()
             connection._set_up(timeout_s, read_termination, serial)
+            connection.take_own_lock(timeout_s)
         except BaseException:
             connection.close()
             raise
@@ -89,6 +96,20 @@ class Connection:
     def close(self) -> None:
         """Close for certain: the port itself where pyvisa will not. Never raises."""
         _discard(self._visa)
+
+    def take_own_lock(self, timeout_s: float) -> None:
+        """Lock the instrument itself, where its interface can (with pyvisa-py: VXI-11): it holds across computers.
+
+        Raises `VisaIOError` when somebody else has it; it is free again when the connection ends.
+        """
+        if isinstance(self._visa, TCPIPInstrument):
+            try:
+                self._visa.lock_excl(timeout=timeout_s * 1000.0)
+            except KeyError:  # an answer that pyvisa-py has no name for: one that cannot be locked
+                return
+            except pyvisa.errors.VisaIOError as error:
+                if error.error_code == constants.StatusCode.error_resource_locked:
+                    raise
 
     def interrupt(self) -> None:
         """End another thread's wait on a socket, which closing alone would not. Never raises."""

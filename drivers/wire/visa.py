@@ -15,6 +15,8 @@ from typing import Final
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
 from drivers.wire.causes import probable_cause
+from drivers.wire.haste import Haste
+from drivers.wire.holding import Holding
 from drivers.wire.prologix import SCHEME, AdapterConnection
 from drivers.wire.pyvisa_connection import Connection, SerialSettings
 
@@ -34,6 +36,7 @@ AFTER_SENDING: Final = "after sending"
 """When it failed, as the wire log has it."""
 
 _MAX_REPLY_BYTES: Final = 1 << 20
+_SLICE_S: Final = 0.5
 
 
 class MessageSession:
@@ -42,6 +45,7 @@ class MessageSession:
     `name` is the instrument's name on the bench, `resource` a VISA resource string, or for an instrument
     behind a GPIB adapter one such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` hold
     for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves.
+    In `haste` no reply is waited for longer than that allows. While it is open it is held by `holding`.
     Safe to use from several threads; give one resource to one session only.
     """
 
@@ -55,6 +59,8 @@ class MessageSession:
         write_termination: str = "\n",
         serial: SerialSettings | None = None,
         wire: Wire | None = None,
+        haste: Haste | None = None,
+        holding: Holding | None = None,
     ) -> None:
         self.name = name
         self.resource = resource
@@ -63,6 +69,9 @@ class MessageSession:
         self._read_termination = read_termination
         self._write_termination = write_termination
         self._wire = wire
+        self._haste = haste or Haste()
+        self._holding = holding
+        self._holds = False
         self._lock = threading.RLock()
         self._clock: Clock = SystemClock()
         self._wanted = False
@@ -81,9 +90,12 @@ class MessageSession:
     def open(self) -> None:
         """Connect and prove that somebody is there; nothing is done when connected already.
 
-        Raises `InstrumentLost`.
+        Raises `InstrumentLost`, `InstrumentRefused` where another program holds the instrument.
         """
         with self._lock:
+            if self._holding is not None and not self._holds:
+                self._holding.take(self.name, self.resource)
+                self._holds = True
             self._wanted = True
             if self._connection is not None and not self._stands():
                 self._give_up()
@@ -101,9 +113,15 @@ class MessageSession:
             locked = self._lock.acquire(timeout=self.timeout_s)
         try:
             self._drop()
+            self._let_go()
         finally:
             if locked:
                 self._lock.release()
+
+    def _let_go(self) -> None:
+        held, self._holds = self._holds, False
+        if held and self._holding is not None:
+            self._holding.release(self.resource)
 
     def write(self, command: str) -> None:
         """Send a command that has no reply.
@@ -188,10 +206,10 @@ class MessageSession:
 
     def _open(self) -> Connection | AdapterConnection:
         if self.resource.startswith(SCHEME):
-            return AdapterConnection.open(self.resource, self.timeout_s)
+            return AdapterConnection.open(self.resource, self._haste.limited_s(self.timeout_s))
         return Connection.open(
             self.resource,
-            timeout_s=self.timeout_s,
+            timeout_s=self._haste.limited_s(self.timeout_s),
             read_termination=self._read_termination,
             serial=self.serial,
         )
@@ -245,19 +263,18 @@ class MessageSession:
         if isinstance(connection, Connection) and connection.by_bytes:
             data = self._read_line(connection, command, allowed_s)
         else:
-            data = connection.take_message(allowed_s)
+            data = connection.take_message(self._haste.limited_s(allowed_s))
         reply = _text(data).rstrip("\r\n")
         self._log("<", reply)
         return reply
 
     def _read_line(self, connection: Connection, command: str, allowed_s: float) -> bytes:
         end = self._read_termination[-1:].encode("ascii")
-        deadline_s = self._clock.now_s() + allowed_s
+        begun_s = self._clock.now_s()
         data = b""
         while not data.endswith(end):
-            remaining_s = max(0.0, deadline_s - self._clock.now_s())
-            if len(data) > _MAX_REPLY_BYTES or not connection.wait(remaining_s):
-                raise self._incomplete(command, data, allowed_s)
+            if len(data) > _MAX_REPLY_BYTES or not self._comes(connection, begun_s, allowed_s):
+                raise self._incomplete(command, data, self._haste.limited_s(allowed_s))
             chunk, more = connection.take()
             data += chunk
             if not chunk:
@@ -271,6 +288,15 @@ class MessageSession:
                     "take it again, and check that no other program uses the instrument",
                 )
         return data
+
+    def _comes(self, connection: Connection, begun_s: float, allowed_s: float) -> bool:
+        """Wait for bytes, in slices, so that haste is heard; False when none came in time."""
+        while True:
+            left_s = begun_s + self._haste.limited_s(allowed_s) - self._clock.now_s()
+            if connection.wait(max(0.0, min(left_s, _SLICE_S))):
+                return True
+            if left_s <= _SLICE_S:
+                return False
 
     def _incomplete(self, command: str, data: bytes, allowed_s: float) -> BenchError:
         if not data:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from sim.scpi.instrument import DeviceClear
 from sim.scpi.status import ScpiError
-from sim.world.clock import wait_until
+from sim.world.clock import VirtualClock, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -57,6 +57,11 @@ class MeasuringCycle(ABC):
         self._finish_s = 0.0
         self._triggers_left: float = 0
         self._keeps = False
+
+    def forsaken(self) -> None:
+        """Give up what is under way: who began it has left. On a virtual clock it holds nobody up."""
+        if self.in_progress and not isinstance(self._clock, VirtualClock):
+            self.abort()
 
     def fetch(self) -> str:
         """FETCh?: return what is in memory. Raises `ScpiError` -230 when there is nothing."""

@@ -32,7 +32,7 @@ HELP: Final = {
     "without probability, at or matching it strikes the next exchange",
     "clear [INSTRUMENT]": "disarm faults, and mend head and chamber",
     "drop|refuse|accept|power-cycle|local INSTRUMENT": "do it at once",
-    "head stuck [ANGLE] | head off ANGLE | head ok": "a motorised head sticks after an angle, or stops beside",
+    "head stuck [ANGLE] | head off ANGLE | head away | head ok": "a motorised head sticks, stops beside, runs away",
     "chamber-off DIFFERENCE": "the chamber's controller misses its demand: 3 degC; 0 mends it",
     "help": "this list",
 }
@@ -151,8 +151,12 @@ class BenchControl:
                 fault = HeadFault(sticks_after_rad=abs(_angle_rad(angle)))
             case ["off", *angle]:
                 fault = HeadFault(stops_off_rad=_angle_rad(angle))
+            case ["away"]:
+                fault = HeadFault(runs_away=True)
             case _:
-                raise ControlError("say head stuck, head stuck 10 deg, head off 30 arcsec, or head ok")
+                raise ControlError(
+                    "say head stuck, head stuck 10 deg, head off 30 arcsec, head away, or head ok"
+                )
         self._bench.world.head_fault = fault
 
     # --- faults -------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from sim.world.world import keyed_generator
 if TYPE_CHECKING:
     import numpy as np
 
+    from sim.agilent_34401a.cycle import MeasuringCycle
     from sim.wires.session import Dialect
 
 
@@ -89,6 +90,16 @@ class HasInput(Protocol):
     """An instrument that samples a signal; `overloaded` puts the signal beyond every range."""
 
     overloaded: bool
+
+
+@runtime_checkable
+class HasCycle(Protocol):
+    """An instrument that measures for a while."""
+
+    @property
+    def cycle(self) -> MeasuringCycle:
+        """What it measures in."""
+        ...
 
 
 _NEEDS: Final[dict[FaultKind, tuple[type, str]]] = {
@@ -299,6 +310,11 @@ class FaultyInstrument:
             return self.dialect.handle(message, interrupted)
         finally:
             self.dialect.overloaded = False
+
+    def forsaken(self) -> None:
+        """Stop what is measured for a client that has left."""
+        if isinstance(self.dialect, HasCycle):
+            self.dialect.cycle.forsaken()
 
     def device_clear(self) -> None:
         """Stop what is under way; a hanging instrument goes on."""

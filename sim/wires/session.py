@@ -24,6 +24,8 @@ TERMINATOR: Final = b"\n"
 
 _INPUT_BUFFER: Final = 65536
 _LATE_SLICE_S: Final = 0.02
+LEAVING_S: Final = 2.0
+"""How long a reply is still worked on for a client that sends no more, s of real time."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,15 @@ class Dialect(Protocol):
 
     def input_overflow(self) -> None:
         """Take note that a message was too long to be kept."""
+        ...
+
+
+@runtime_checkable
+class Forsakable(Protocol):
+    """A dialect that may be busy for hours with what one client wanted of it."""
+
+    def forsaken(self) -> None:
+        """Take note that the client that sent the last message has left."""
         ...
 
 
@@ -203,6 +214,7 @@ class ServedInstrument:
         self.fault = fault
         self._lock = threading.Lock()
         self._clearing: set[Session] = set()
+        self._last: Session | None = None
 
     def exchange(
         self, session: Session, message: bytes, interrupted: Callable[[], bool]
@@ -213,6 +225,7 @@ class ServedInstrument:
             return bool(self._clearing) or interrupted()
 
         with self._held(session):
+            self._last = session
             reply = self.dialect.handle(message, cleared)
             return reply, self.fault(message, reply) if self.fault else None
 
@@ -224,6 +237,12 @@ class ServedInstrument:
                 self.dialect.device_clear()
         finally:
             self._clearing.discard(session)
+
+    def left(self, session: Session) -> None:
+        """Take note that a client has left: what only it waits for must not hold up the others."""
+        with self._held(session):
+            if self._last is session and isinstance(self.dialect, Forsakable):
+                self.dialect.forsaken()
 
     def input_overflow(self, session: Session) -> None:
         """Take note that a message was too long to be kept."""
@@ -264,6 +283,7 @@ class Session:
         self._traffic = instrument.traffic
         self._on_refuse = on_refuse
         self._clock = clock or SystemClock()
+        self._left_s: float | None = None
         ends = line_ends_of(instrument.dialect)
         self._framer = Framer(ends.messages)
         self._terminator = transport.terminator if ends.reply is None else ends.reply
@@ -292,6 +312,7 @@ class Session:
         except OSError:
             return
         finally:
+            self._instrument.left(self)
             self._traffic.leave(self)
             self._transport.close()
 
@@ -301,9 +322,14 @@ class Session:
         return bool(data)
 
     def _interrupted(self) -> bool:
-        if self._transport.has_input():
-            self._receive()
-        return self._framer.device_clear_pending
+        """Whether what is under way is to be given up: at a device clear, or when the client has left for good.
+
+        One that only sends no more may still take its reply: it is given a moment.
+        """
+        if self._left_s is None and self._transport.has_input() and not self._receive():
+            self._left_s = self._clock.now_s()
+        left = self._left_s is not None and self._clock.now_s() - self._left_s >= LEAVING_S
+        return left or self._framer.device_clear_pending
 
     def _answer_all(self) -> bool:
         """Carry out the messages that are complete; False when the connection is to be closed."""

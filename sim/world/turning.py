@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
+
+_ENDLESS_RAD: Final = 1000.0 * math.tau
 
 
 @dataclass(frozen=True)
@@ -42,14 +45,18 @@ class HeadFault:
     """What is wrong with a motorised head, for the movements that begin while it is set.
 
     It sticks after it has turned by `sticks_after_rad` (0: it does not move at all), or it comes to rest
-    `stops_off_rad` beside where it was sent, on its own scale.
+    `stops_off_rad` beside where it was sent, on its own scale. One that `runs_away`, as with a wrong sign, turns
+    away from where it was sent until it is stopped.
     """
 
     sticks_after_rad: float | None = None
     stops_off_rad: float = 0.0
+    runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
         """Return where a movement really ends, and whether the head is stuck there."""
+        if self.runs_away:
+            return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad
         if self.sticks_after_rad is None or abs(end_rad - start_rad) <= self.sticks_after_rad:
             return end_rad, False

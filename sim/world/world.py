@@ -90,6 +90,7 @@ class World:
         self._counts: Counter[tuple[str, ...]] = Counter()
         self._voltmeter_error_v: dict[Channel, float] = dict.fromkeys(CHANNELS, 0.0)
         self._signals: dict[object, Floats] = {}
+        self._stands_rad: dict[tuple[str, int], Floats] = {}
         now_s = clock.now_s()
         self._heat = Heat(now_s, settings.ambient_c, settings.block_time_constant_s)
         self._chamber_demand_c: float | None = None
@@ -133,9 +134,13 @@ class World:
         return self.settings.stand.get(name, _NO_ERROR).draw(generator)
 
     def _stand_rad(self, installation: str, series: int) -> Floats:
-        return stand_errors(
-            **{name: self._draw(name, self.fixed_random(name, series, installation)) for name in STAND_ANGLES}
-        )
+        """Return the stand angles of a mounting; drawn once, as a long run is recalled reading by reading."""
+        place = (installation, series)
+        if place not in self._stands_rad:
+            self._stands_rad[place] = stand_errors(
+                **{n: self._draw(n, self.fixed_random(n, series, installation)) for n in STAND_ANGLES}
+            )
+        return self._stands_rad[place]
 
     # --- what is done to the bench ------------------------------------------------------------------
 

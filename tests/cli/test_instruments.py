@@ -19,7 +19,7 @@ from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
 from drivers.clock import SystemClock
-from drivers.interfaces import Identity, InstrumentLost, SelfTesting
+from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, SelfTesting
 from drivers.wire.discovery import SOCKETS, SerialPort, discover
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench
@@ -303,3 +303,18 @@ def test_the_command_lists_offers(bench: Bench, monkeypatch: pytest.MonkeyPatch)
     status, out, _ = bench("--discover", "--json", "-")
     assert status == 0
     assert json.loads(out)["resources"] == ["TCPIP::10.0.0.7::INSTR"]
+
+
+def test_instruments_that_another_program_holds_are_refused_with_its_name(
+    served: SimulatedBench, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def held(self: object, name: str, resource: str) -> None:
+        raise InstrumentRefused(
+            name, f"{resource} is in use by 'bench run'", "end that program or wait for it"
+        )
+
+    monkeypatch.setattr("drivers.wire.holding.Holding.take", held)
+    status, out, err = bench("--bench", "bench.yaml")
+    assert status == 2
+    assert err.count("is in use by 'bench run'; end that program or wait for it") == 3
+    assert out.count("NOT OPENED") == 3

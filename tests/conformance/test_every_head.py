@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from drivers.interfaces import BenchError, InstrumentRefused, LimitExceeded
+from drivers.interfaces import BenchError, InstrumentRefused, LimitExceeded, WentAstray
 from sim.world.turning import HeadFault
 from tests.support.instrument_stand import known, standing
 
@@ -60,6 +60,36 @@ def test_a_head_that_is_stuck_has_not_arrived_and_is_stopped(device, tmp_path):
         assert refusal.value.remedy
         assert stand.world.clock.now_s() - began_s < 600.0
         assert stand.world.head_rate_rad_s == 0.0
+
+
+@heads
+@pytest.mark.parametrize(("target_deg", "direction"), [(180.0, 1), (90.0, 1), (60.0, -1)])
+def test_a_head_that_turns_away_from_where_it_is_sent_is_stopped_within_two_samples(
+    device, tmp_path, target_deg, direction
+):
+    with standing(device, tmp_path) as stand:
+        stand.driver.open()
+        stand.driver.move(math.radians(120.0), 1, "1/turn")
+        before_rad = stand.world.scale_angle_rad
+        stand.world.head_fault = HeadFault(runs_away=True)
+        with pytest.raises(WentAstray, match="away from its target") as stopped:
+            stand.driver.move(math.radians(target_deg), direction, "2/turn")
+        assert stopped.value.remedy
+        assert stand.world.head_rate_rad_s == 0.0
+        poll_s = 0.25
+        assert abs(stand.world.scale_angle_rad - before_rad) <= 2.01 * poll_s * stand.section.speed
+
+
+@heads
+def test_a_head_that_leaves_its_limits_is_stopped_at_once(device, tmp_path):
+    with standing(device, tmp_path) as stand:
+        stand.driver.open()
+        stand.driver.move(math.radians(364.0), 1, "1/turn")
+        stand.world.head_fault = HeadFault(runs_away=True)
+        with pytest.raises(WentAstray, match="outside its limits"):
+            stand.driver.move(math.radians(300.0), 1, "2/turn")
+        assert stand.world.head_rate_rad_s == 0.0
+        assert stand.world.scale_angle_rad < stand.section.maximum + 0.5 * stand.section.speed
 
 
 @heads

@@ -179,9 +179,10 @@ def test_a_failure_to_stop_does_not_hide_the_cause() -> None:
         raise OSError
 
     axis.stop = cannot_stop  # type: ignore[method-assign]
-    axis.error_rad = lambda _: 1.0
-    with pytest.raises(InstrumentRefused, match="did not come to rest"):
+    axis.error_rad = lambda _: -20 * ARCSEC
+    with pytest.raises(InstrumentRefused, match="did not come to rest") as stopped:
         mover.move(45 * DEG, 1)
+    assert stopped.value.__notes__ == ["head: its stop is not confirmed: see that it stands"]
 
 
 @pytest.mark.parametrize(

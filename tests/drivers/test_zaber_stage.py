@@ -86,7 +86,7 @@ def test_a_head_that_is_not_homed_is_homed_only_where_that_is_allowed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("encoder", "words"), [(True, r"has stalled \(flag FS\)"), (False, "did not come to rest within")]
+    ("encoder", "words"), [(True, r"has stalled \(flag FS\)"), (False, "stalled at 20°00′00″, sent to 45")]
 )
 def test_a_stuck_head_is_stopped_and_can_be_used_again_when_freed(encoder: bool, words: str) -> None:
     world = a_world()

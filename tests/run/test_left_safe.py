@@ -9,7 +9,8 @@ from bench.assembly.served import dry_bench
 from bench.model import ForwardModel
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
 from bench.run.control import RunControl
-from bench.run.record import Record, read_history
+from bench.run.history import read_history
+from bench.run.record import Record
 from bench.run.runner import RunAborted, Runner
 from bench.run.states import RunState, Wish
 from drivers.interfaces import BenchError

@@ -1,20 +1,27 @@
 """The record of a run: whole, chained, believed only when nothing in it was changed."""
 
 import errno
+import hashlib
 import json
+import math
 import os
+import shutil
 from datetime import UTC, datetime
 
 import pytest
 
-from bench.run.record import EVENTS, MANIFEST, Record, RecordError, read_history
+from bench.procedure.plan import Plan, Wait
+from bench.run.history import read_history
+from bench.run.manifest import EVENTS, MANIFEST, RecordError
+from bench.run.record import Record
+from bench.run.resume import resume_point
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 
 
 def make(folder, events=3):
     record = Record.create(folder, {"name": folder.name}, {"plan.json": b"{}"}, lambda: NOON)
-    record.append("run_started", 0.0)
+    record.append("run_started", 0.0, step=0, instruments={})
     for index in range(events):
         record.append("step_done", float(index), step=index)
     record.close()
@@ -68,7 +75,7 @@ def test_a_torn_last_line_is_cut_off_when_the_run_goes_on(tmp_path):
     with (folder / EVENTS).open("ab") as file:
         file.write(b'{"n": 5, "time": "2026')
     record, history = Record.reopen(folder, lambda: NOON)
-    record.append("run_resumed", 9.0)
+    record.append("run_resumed", 9.0, step=2, instruments={})
     record.close()
     assert history.torn.startswith('{"n": 5')
     again = read_history(folder)
@@ -95,7 +102,7 @@ def test_a_name_is_not_used_twice(tmp_path):
 def test_a_full_disk_loses_nothing_and_says_so(tmp_path, monkeypatch):
     folder = tmp_path / "run"
     record = Record.create(folder, {}, {}, lambda: NOON)
-    record.append("run_started", 0.0)
+    record.append("run_started", 0.0, step=0, instruments={})
 
     def full(descriptor):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -117,3 +124,93 @@ def test_a_folder_that_cannot_be_made(tmp_path):
         Record.create(tmp_path / "file" / "run", {}, {}, lambda: NOON)
     with pytest.raises(RecordError, match="not a run"):
         read_history(tmp_path)
+
+
+def test_what_a_deleted_folder_would_lose_is_told(tmp_path):
+    record = Record.create(tmp_path / "run", {}, {}, lambda: NOON)
+    shutil.rmtree(tmp_path / "run")
+    with pytest.raises(RecordError, match="was deleted while the run went on"):
+        record.append("run_started", 0.0, step=0, instruments={})
+    record.close()
+
+
+def forged(folder, **event):
+    """A record of one event, in which the chain is whole and the event is any."""
+    line = {"n": 1, "time": "t", "bench_s": 0.0, "type": "run_paused", "reason": ""} | event
+    Record.create(folder, {}, {}, lambda: NOON).close()
+    line["prev"] = hashlib.sha256((folder / MANIFEST).read_bytes()).hexdigest()
+    (folder / EVENTS).write_text(json.dumps(line) + "\n")
+    return read_history(folder)
+
+
+READING = {"installation": "1", "series": 1, "pass": 1, "point": 1, "angle_deg": 0.0, "mean": [0.0, 0.0, 1.0]}
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        {"n": math.inf},
+        {"n": math.nan},
+        {"n": 1.0},
+        {"n": True},
+        {"bench_s": math.inf},
+        {"bench_s": None},
+        {"time": 5},
+        {"type": ["run_paused"]},
+        {"type": "step_done"},
+        {"type": "step_done", "step": -1},
+        {"type": "step_started", "step": 10**300},
+        {"type": "redo", "first": 0, "last": 10**12},
+        {"type": "run_started", "step": 0, "instruments": None},
+        {"type": "left_safe", "to_do": []},
+        {"type": "step_done", "step": 0, "reading": []},
+        {"type": "step_done", "step": 0, "reading": READING | {"mean": [1.0, 2.0]}},
+        {"type": "step_done", "step": 0, "reading": READING | {"mean": ["1", "2", "3"]}},
+        {"type": "step_done", "step": 0, "reading": READING | {"mean": [1.0, 2.0, None]}},
+        {"type": "step_done", "step": 0, "reading": READING | {"series": 1.5}},
+        {"type": "step_done", "step": 0, "reading": READING | {"angle_deg": 1e400}},
+        {"type": "step_done", "step": 0, "reading": READING | {"outlier": [1, 2, 3]}},
+        {"type": "run_finished"},
+    ],
+)
+def test_what_is_no_event_is_told_with_its_line(tmp_path, event):
+    assert forged(tmp_path / "run", type="run_started", step=0, instruments={}).problems == ()
+    (problem,) = forged(tmp_path / "other", **event).problems
+    assert problem.startswith("events.jsonl, line 1: not an event")
+
+
+@pytest.mark.parametrize(
+    "line", [b'{"n": Infinity}\n', b'{"n": 1e999, "prev": ""}\n', b"[" * 100_000 + b"\n", b"\xff\n", b"7\n"]
+)
+def test_a_line_that_is_no_event_of_json_is_told(tmp_path, line):
+    folder = make(tmp_path / "run", events=0)
+    with (folder / EVENTS).open("ab") as file:
+        file.write(line)
+    assert read_history(folder).problems == ("events.jsonl, line 2: not an event",)
+
+
+def test_events_of_another_plan_are_told(tmp_path):
+    folder = make(tmp_path / "run")
+    with pytest.raises(RecordError, match="step 3, and the plan has 2"):
+        resume_point(Plan("p", (Wait("a", 1.0, ""), Wait("b", 1.0, "")), ""), read_history(folder))
+
+
+def test_a_history_keeps_what_going_on_needs_and_no_sample(tmp_path):
+    record = Record.create(tmp_path / "run", {}, {}, lambda: NOON)
+    record.append("run_started", 0.0, step=0, instruments={"head": "none"})
+    record.append("step_done", 1.0, step=0, reading=READING | {"samples": {"x": [1.0] * 1000}})
+    record.append("remounted", 2.0, installation="1", series=1, now_series=2)
+    record.append("step_done", 3.0, step=0, reading=READING | {"point": 2, "temperature_c": 21.5})
+    record.close()
+    history = read_history(tmp_path / "run")
+    steps = [taken and (taken[0], taken[1].point) for taken in history.taken]
+    assert steps == [(0, 1), None, (0, 2)]
+    assert history.readings[0].point == 2
+    assert not any(taken and taken[1].samples for taken in history.taken)
+    assert history.progress.temperature_c == 21.5
+    assert history.identities == {"head": "none"}
+    assert history.events[-1].number == len(history.events) == 4
+    assert history.events[1].data["reading"]["samples"]["x"] == [1.0] * 1000
+    lines = (tmp_path / "run" / EVENTS).read_bytes()
+    assert history.head == hashlib.sha256(lines.splitlines()[-1]).hexdigest()
+    assert history.length == len(lines)

@@ -7,8 +7,9 @@ import pytest
 
 from bench.procedure.plan import OnFailure, Plan, SetTemperature
 from bench.readings.reading import Reading, readings_of
+from bench.run.manifest import RecordError
 from bench.run.mounting import UNTOUCHED
-from bench.run.record import Record, RecordError
+from bench.run.record import Record
 from bench.run.resume import Progress, resume_point
 from bench.run.workbench import Instruments
 from drivers.interfaces import (

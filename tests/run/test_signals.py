@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.run.folder import Run
-from bench.run.record import read_history
+from bench.run.history import read_history
 from bench.run.signals import Interrupts
 from tests.support.patience import PATIENCE_S, wait_for
 

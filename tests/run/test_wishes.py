@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from bench.run.control import OperatorWish, RunControl
-from bench.run.record import Event
+from bench.run.events import Event
 from bench.run.resume import resume_point
 from bench.run.runner import RunAborted
 from bench.run.states import RunState, Wish

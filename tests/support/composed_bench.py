@@ -11,6 +11,7 @@ from bench.base.arrays import CHANNELS
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
+from bench.run.way_out import leave_safe
 from bench.run.workbench import Instruments
 from drivers.interfaces import Channel, VoltmeterSettings
 
@@ -39,7 +40,7 @@ def composing(folder: Path) -> Iterator[Callable[..., tuple[BenchFile, Assembly]
             bench = edited(folder, name, *changes)
             model = ForwardModel(bench.installation_models())
             assembly = stack.enter_context(dry_bench(bench, model, seed=1))
-            stack.callback(assembly.instruments.leave_safe)
+            stack.callback(leave_safe, assembly.instruments, None)
             return bench, assembly
 
         yield compose

@@ -7,7 +7,8 @@ from typing import Any
 
 from bench.base.arrays import CHANNELS
 from bench.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
-from bench.run.record import History, Record, read_history
+from bench.run.history import History, read_history
+from bench.run.record import Record
 from bench.run.runner import Runner
 from bench.run.workbench import Instruments
 from drivers.interfaces import (

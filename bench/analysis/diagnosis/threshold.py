@@ -108,7 +108,7 @@ class ThresholdCache:
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
         try:
             return Threshold(**json.loads(file.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError):
+        except (OSError, ValueError, TypeError, RecursionError):
             made = make_threshold(linear, whitened)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)

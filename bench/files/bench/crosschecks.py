@@ -48,11 +48,13 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
         key, channels = written_channels(meter) or ("", ())
         unreadable |= not key
         for channel in channels:
-            unreadable |= channel not in CHANNELS
+            unreadable |= channel not in CHANNELS  # a list, too, which pydantic tells
+            if not isinstance(channel, str):
+                continue
             if channel in carried:
                 text = f"channel {channel} is carried by voltmeter {carried[channel] + 1} already"
                 yield (*place, index, key), text
-            carried.setdefault(str(channel), index)
+            carried.setdefault(channel, index)
     missing = [channel for channel in CHANNELS if channel not in carried]
     if missing and not unreadable:
         yield place, f"no voltmeter carries channel {', '.join(missing)}; each of x, y, z is carried once"

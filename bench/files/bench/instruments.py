@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from bench.base.arrays import CHANNELS
 from bench.base.forms import FileModel
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
@@ -18,7 +19,8 @@ class InstrumentsSection(FileModel):
     """Everything that is opened for a run; the driver chooses what else a section says."""
 
     voltmeters: Annotated[
-        tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter")], ...], Field(min_length=1)
+        tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter")], ...],
+        Field(min_length=1, max_length=len(CHANNELS)),
     ]
     head: Annotated[HeadForm, chosen_by_driver("head")]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber")] = None
@@ -51,7 +53,7 @@ class RecordedInstruments(InstrumentsSection):
 
     voltmeters: Annotated[
         tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter", recorded=True)], ...],
-        Field(min_length=1),
+        Field(min_length=1, max_length=len(CHANNELS)),
     ]
     head: Annotated[HeadForm, chosen_by_driver("head", recorded=True)]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber", recorded=True)] = None

@@ -11,13 +11,14 @@ from bench.base.numbers import fixed
 from bench.report.budget.plots import contributions, modulus
 from bench.report.page import RULES
 from bench.report.tables import Row, symbol
-from bench.report.template import page_template
+from bench.report.template import page
 
 
 def render_budget(result: Mapping[str, Any]) -> str:
     """Return the page; the same result gives the same text."""
     check = result["verification"]
-    return page_template("budget.html.j2").render(
+    return page(
+        "budget.html.j2",
         result=result,
         headings=["source", *(symbol(name) for name in result["order"])],
         coefficients=_coefficients(result),

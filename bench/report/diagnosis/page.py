@@ -17,7 +17,7 @@ from bench.model import CATALOGUE, Effect
 from bench.report.diagnosis import plots, words
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
-from bench.report.template import page_template
+from bench.report.template import page
 
 DRAWN: Final = 4
 """Mountings of which the residuals are drawn in full view; those beyond are folded away."""
@@ -29,7 +29,8 @@ STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance: Mapping[str, str]) -> str:
     """Return the page; the same content gives the same text. `limit_g` is that of the verification points."""
     diagnosis, shown = full.diagnosis, full.shown
-    return page_template("diagnosis.html.j2").render(
+    return page(
+        "diagnosis.html.j2",
         title=title,
         full=full,
         diagnosis=diagnosis,

@@ -1,0 +1,33 @@
+"""The program `bench` from its first moment to its last: one Ctrl-C is heard, and leaves a line, no traceback."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from types import FrameType
+from typing import Final
+
+_STOPPED: Final = 2
+
+
+def main() -> None:
+    """Run the command line of `sys.argv` and exit with its status.
+
+    Even the import of the commands takes long enough to be interrupted. Further ones, after the first, come while
+    that is told: they are not heard. What must be left safe hears signals by itself (`bench.run.signals`).
+    """
+    try:
+        signal.signal(signal.SIGINT, _once)
+        from bench.cli.app import main as command_line
+
+        command_line()
+    except KeyboardInterrupt:
+        print("bench: stopped by Ctrl-C", file=sys.stderr)
+        sys.exit(_STOPPED)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _once(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt

@@ -1,0 +1,76 @@
+"""What a run was begun with (`run.json`), and the error of a run that cannot be written or believed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Final, TypedDict, cast
+
+EVENTS: Final = "events.jsonl"
+MANIFEST: Final = "run.json"
+FORMAT: Final = 1
+
+
+class UnitUnderTest(TypedDict):
+    """The block that a run measures."""
+
+    type: str
+    serial: str
+
+
+class Manifest(TypedDict, total=False):
+    """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
+
+    `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
+    `readings` that has, and nothing of a procedure. `bench_why` says why that bench file was taken. `devices` says
+    where those drivers came from that are none of the bench's own, and is left out where there are none.
+    """
+
+    format: int
+    name: str
+    created: str
+    imported: str
+    readings: int
+    dry_run: bool
+    seed: int | None
+    operator: str
+    procedure: str
+    bench: str
+    bench_why: str
+    plan_hash: str
+    unit_under_test: UnitUnderTest
+    versions: dict[str, str]
+    devices: dict[str, str]
+    files: dict[str, str]
+
+
+class RecordError(Exception):
+    """A run folder that cannot be written or believed; the text says where, why and what to do."""
+
+
+def sha256(data: bytes) -> str:
+    """Return the SHA-256 of bytes in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Return the inputs' manifest of a run. Raises `RecordError` when there is none."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except OSError:
+        raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
+    except (ValueError, RecursionError):
+        raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
+        raise RecordError(f"{folder / MANIFEST}: damaged, not a manifest; take it from a copy of the run")
+    return cast(Manifest, manifest)
+
+
+def changed_inputs(folder: Path) -> list[str]:
+    """Say which of the inputs of a run are not what its manifest says. Raises `RecordError` without a manifest."""
+    return [
+        f"{name} was changed since the run began"
+        for name, digest in read_manifest(folder).get("files", {}).items()
+        if not (folder / name).is_file() or sha256((folder / name).read_bytes()) != digest
+    ]

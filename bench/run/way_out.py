@@ -1,0 +1,54 @@
+"""The way out of a run: the bench left safe, whatever fails on it and whatever went wrong before.
+
+Nothing here raises: what one instrument does must not keep the next from being let go.
+"""
+
+from __future__ import annotations
+
+from bench.run.workbench import Instruments
+from drivers.interfaces import BenchError, Instrument, ThermalChamber
+
+
+def leave_safe(instruments: Instruments, demanded_c: float | None) -> dict[str, str]:
+    """Set the chamber to its safe setting, close everything (a head stops, a meter goes to local).
+
+    A chamber that was not opened is another program's, or as it was before: it is left so. `demanded_c` is what
+    the chamber was last sent to, None where it was not. Returns what a person must still
+    do, by instrument.
+    """
+    to_do = {}
+    chamber = instruments.chamber
+    opened = chamber is not None and chamber.name in instruments.opened
+    if chamber is not None and opened and (note := _standby(chamber, demanded_c)):
+        to_do[chamber.name] = note
+    for instrument in instruments.all():
+        if trouble := _closed(instrument):
+            to_do[instrument.name] = "; ".join(filter(None, (to_do.get(instrument.name), trouble)))
+    return to_do
+
+
+def _standby(chamber: ThermalChamber, demanded_c: float | None) -> str:
+    try:
+        return chamber.make_safe()
+    except Exception as error:
+        why = f"{error.cause}" if isinstance(error, BenchError) else _of_driver(error)
+    if demanded_c is None:
+        return f"could not be put into standby: where it conditions, switch it off by hand ({why})"
+    return f"goes on conditioning at {demanded_c:g} °C: switch it off by hand ({why})"
+
+
+def _closed(instrument: Instrument) -> str:
+    try:
+        instrument.close()
+    except Exception as error:
+        return f"could not be let go: see that it stands and switch it off and on ({_of_driver(error)})"
+    return ""
+
+
+def _of_driver(error: Exception) -> str:
+    return f"its driver failed with {type(error).__name__}: {error}"
+
+
+def with_notes(error: BaseException) -> str:
+    """Return the sentence of an error with what was noted on it on the way out."""
+    return "; ".join(filter(None, (str(error), *getattr(error, "__notes__", ()))))

@@ -1,0 +1,106 @@
+"""Text from outside does not act where it leaves; files that are none are not waited for."""
+
+import io
+import json
+import os
+import socket
+
+import pytest
+from rich.text import Text
+
+from bench.base.regular import read_regular
+from bench.base.tables import Screen, as_html, table
+from bench.base.visible import in_json, visible
+from bench.base.whole import from_text, to_text
+
+ACTS = [
+    "\x1b[2J",
+    "\x07",
+    "\x00",
+    "\x7f",
+    "\x9b",
+    "\u202e",
+    "\u2066",
+    "\u2028",
+    "\ufeff",
+    "\ud800",
+    "\r",
+    "\U000e0041",
+]
+
+
+@pytest.mark.parametrize("text", ACTS)
+def test_what_acts_becomes_an_escape(text):
+    shown = visible(f"a{text}b")
+    assert shown.isprintable()
+    assert shown.isascii()
+    assert visible(shown) == shown
+
+
+def test_what_people_write_stays():
+    text = "µ Δg ≤ 3·10⁻⁴ g\tℓ = 1\u202fm\r\n日本 🎉 \u200d é\n"
+    assert visible(text) == text == in_json(text)
+
+
+@pytest.mark.parametrize("text", ACTS)
+def test_json_has_it_escaped_and_reads_back(text):
+    written = to_text({"name": text, text: 1})
+    assert visible(written) == written
+    assert json.loads(written.encode()) == {"name": text, text: 1}
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_screen_shows_it_and_keeps_its_own_colours(terminal):
+    file = io.StringIO()
+    screen = Screen(
+        file=file,
+        highlight=False,
+        force_terminal=terminal,
+        width=200,
+        color_system="standard" if terminal else None,
+    )
+    rows = table("name")
+    rows.add_row("evil\x1b]0;title\x07\u202e")
+    for what in ("a\x1b[2Jb", Text("c\x9bd\ud800", style="bold"), rows):
+        screen.print(what)
+    out = file.getvalue()
+    assert r"a\x1b[2Jb" in out
+    assert r"c\x9bd\ud800" in out
+    assert r"evil\x1b]0;title" in out
+    assert ("\x1b[1m" in out) is terminal
+    assert visible(out.replace("\x1b[1m", "").replace("\x1b[0m", "")) == out.replace("\x1b[1m", "").replace(
+        "\x1b[0m", ""
+    )
+
+
+def test_a_notebook_shows_it():
+    rows = table("a\x1b")
+    rows.add_row("<b>\u202e")
+    page = as_html(["c\x9b"], rows)
+    assert visible(page) == page
+    assert "&lt;b&gt;" in page
+
+
+@pytest.mark.parametrize(
+    "text", ['{"a": NaN}', "[Infinity]", "[-Infinity]", '{"a": 1, "a": 2}', "[" * 100_000, "", "{"]
+)
+def test_what_is_not_json_is_a_value_error(text):
+    with pytest.raises(ValueError, match=r"."):
+        from_text(text)
+
+
+def test_only_regular_files_are_read_and_nothing_is_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / "s"))
+        for path, why in ((tmp_path / "pipe", "pipe"), (tmp_path / "s", "socket"), (tmp_path, "folder")):
+            with pytest.raises(OSError, match=why):
+                read_regular(path, 10)
+    with pytest.raises(OSError, match="device"):
+        read_regular(tmp_path.joinpath("/dev/zero"), 10)
+    with pytest.raises(FileNotFoundError):
+        read_regular(tmp_path / "a\0b", 10)
+    (tmp_path / "file").write_bytes(b"0123456789")
+    assert read_regular(tmp_path / "file", 10) == b"0123456789"
+    with pytest.raises(OSError, match="more than"):
+        read_regular(tmp_path / "file", 9)

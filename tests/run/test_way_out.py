@@ -1,0 +1,196 @@
+"""The way out: no signal and no failing instrument cuts it short, and the first cause stays what is told."""
+
+import os
+import signal
+from contextlib import closing
+
+import pytest
+
+from bench.procedure.plan import Plan, SetTemperature
+from bench.run.record import RecordError
+from bench.run.signals import SIGNALS, Interrupts
+from bench.run.way_out import with_notes
+from drivers.interfaces import BenchError, Identity, InstrumentLost, LimitExceeded
+from tests.support.runner_bench import (
+    ALL,
+    READS,
+    Bench,
+    instruments,
+    make_plan,
+    make_runner,
+    new_record,
+    recorded,
+)
+
+LOST = InstrumentLost("voltmeter.y", "it is gone", "check the cable")
+SIGNALLED = [signal.Signals(number) for number in SIGNALS]
+
+
+class Chamber:
+    name = "chamber"
+    asks_person = False
+
+    def __init__(self, bench, refuses=None, trouble=None):
+        self.bench, self.refuses, self.trouble = bench, refuses, trouble
+
+    def open(self):
+        return Identity("Espec", "P300")
+
+    def close(self):
+        self.bench.closed.append(self.name)
+
+    def set_temperature(self, target_c, key):
+        if self.refuses is not None:
+            raise self.refuses
+
+    def temperature(self, key, *, settling=False):
+        return 20.0
+
+    def make_safe(self):
+        self.bench.closed.append("standby")
+        if self.trouble is not None:
+            raise self.trouble
+        return ""
+
+
+def with_chamber(runner, chamber, meter_trouble=None):
+    """Put a chamber on the bench of a runner; closing its first meter does what `meter_trouble` does."""
+    bench = instruments(chamber.bench)
+    close = bench.voltmeters[0].close
+
+    def troubled():
+        close()
+        meter_trouble()
+
+    if meter_trouble is not None:
+        bench.voltmeters[0].close = troubled
+    object.__setattr__(bench, "chamber", chamber)
+    runner.instruments = bench
+    runner.__post_init__()
+    return runner
+
+
+def hit(*numbers):
+    def strike():
+        for number in numbers:
+            os.kill(os.getpid(), number)
+
+    return strike
+
+
+def heated(*steps):
+    return Plan("test", (SetTemperature("1/temperature", 40.0), *steps, *make_plan().steps), "")
+
+
+@pytest.mark.parametrize("number", SIGNALLED, ids=lambda number: number.name)
+@pytest.mark.parametrize("trouble", [None, LOST, KeyboardInterrupt()], ids=["end", "error", "signal"])
+def test_signals_on_the_way_out_cancel_nothing_and_hide_no_cause(tmp_path, capsys, trouble, number):
+    bench = Bench(trouble, at=None if trouble is None else 9)
+    with closing(new_record(tmp_path)) as record, Interrupts() as interrupts:
+        runner = make_runner(bench, record, hold_signals=interrupts.hold)
+        with_chamber(runner, Chamber(bench), hit(number, number, signal.SIGINT))
+        if trouble is None:
+            runner.run()
+        else:
+            with pytest.raises(type(trouble)):
+                runner.run()
+        assert interrupts.haste.asked
+    assert bench.closed[0] == "standby"
+    assert set(bench.closed[1:]) == ALL | {"chamber"}
+    history, _, _ = recorded(tmp_path / "run")
+    assert history.state == {None: "finished", LOST: "failed"}.get(trouble, "interrupted")
+    assert "left safe" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "failure", [OSError(5, "Input/output error"), LOST, ZeroDivisionError("x")], ids=repr
+)
+def test_whatever_an_instrument_raises_the_others_are_let_go_and_the_first_cause_stays(tmp_path, failure):
+    bench = Bench(BenchError("voltmeter.z", "it smokes", "pull the plug"), at=9)
+
+    def fail():
+        raise failure
+
+    with closing(new_record(tmp_path)) as record:
+        runner = with_chamber(make_runner(bench, record, heated()), Chamber(bench, trouble=failure), fail)
+        with pytest.raises(BenchError, match="it smokes") as stopped:
+            runner.run()
+    assert set(bench.closed) == ALL | {"chamber", "standby"}
+    text = with_notes(stopped.value)
+    assert text.startswith("voltmeter.z: it smokes; pull the plug; chamber goes on conditioning at 40 °C: ")
+    assert "switch it off by hand" in text
+    assert "voltmeter.x could not be let go" in text
+    history, _, _ = recorded(tmp_path / "run")
+    failed, left = history.events[-2:]
+    assert failed.data["error"] == "voltmeter.z: it smokes; pull the plug"
+    assert set(left.data["to_do"]) == {"chamber", "voltmeter.x"}
+
+
+@pytest.mark.parametrize(
+    ("refuses", "told"),
+    [
+        (InstrumentLost("chamber", "it is gone", "check the cable"), "goes on conditioning at 40 °C"),
+        (LimitExceeded("chamber", "40 °C is too hot", "ask for less"), "where it conditions"),
+    ],
+)
+def test_a_demand_that_may_have_been_taken_is_told_and_one_never_sent_is_not(tmp_path, refuses, told):
+    bench = Bench()
+    with closing(new_record(tmp_path)) as record:
+        runner = with_chamber(make_runner(bench, record, heated()), Chamber(bench, refuses, LOST))
+        with pytest.raises(BenchError) as stopped:
+            runner.run()
+    assert told in with_notes(stopped.value)
+
+
+def test_instruments_that_were_opened_before_one_failed_are_let_go(tmp_path):
+    bench = Bench()
+    with closing(new_record(tmp_path)) as record:
+        runner = make_runner(bench, record)
+        runner.instruments.voltmeters[1].open = lambda: 1 / 0
+        with pytest.raises(ZeroDivisionError):
+            runner.run()
+    assert set(bench.closed) == ALL
+    history, _, _ = recorded(tmp_path / "run")
+    assert history.state == "failed"
+
+
+def test_a_record_that_cannot_be_written_on_the_way_out_does_not_hide_the_cause(tmp_path):
+    bench = Bench(LOST, at=9)
+    with closing(new_record(tmp_path)) as record:
+        runner = make_runner(bench, record)
+        append = record.append
+
+        def full(kind, bench_s, **data):
+            if kind == "run_failed":
+                raise RecordError("run: cannot be written (no space left on device)")
+            return append(kind, bench_s, **data)
+
+        record.append = full
+        with pytest.raises(InstrumentLost) as stopped:
+            runner.run()
+    assert with_notes(stopped.value) == f"{LOST}; run: cannot be written (no space left on device)"
+    assert set(bench.closed) == ALL
+
+
+def test_a_terminal_that_cannot_be_written_to_any_more_stops_no_run(tmp_path):
+    bench = Bench()
+
+    def gone(event):
+        raise OSError(5, "Input/output error")
+
+    seen = []
+    with closing(new_record(tmp_path)) as record:
+        make_runner(bench, record, observers=[gone, seen.append]).run()
+    _, keys, _ = recorded(tmp_path / "run")
+    assert keys == READS
+    assert seen[-1].type == "run_finished"
+
+
+def test_a_signal_while_an_event_cannot_be_written_leaves_the_disk_as_the_cause():
+    def write(interrupts):
+        with interrupts.shield():
+            os.kill(os.getpid(), signal.SIGTERM)
+            raise RecordError("disk full")
+
+    with Interrupts() as interrupts, pytest.raises(RecordError, match="disk full"):
+        write(interrupts)
