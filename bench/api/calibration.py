@@ -19,7 +19,7 @@ from bench.analysis.calibration.verification import COVERAGE_FACTOR, GUARDED, SI
 from bench.analysis.temperature.plateaus import separate_temperatures
 from bench.api.coefficients import Coefficients, read_coefficients
 from bench.api.errors import Refused
-from bench.api.provenance import provenance
+from bench.api.provenance import provenance, record_head
 from bench.api.source import Source
 from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places
@@ -100,6 +100,7 @@ class CalibrationResult:
             "made_at": source.made_at,
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
+            **({} if source.run is None else {"record": record_head(source.run)}),
             "notes": [*self.doubts, *self.calibration.notes, *source.readings.notes],
             "skipped_rows": list(source.readings.skipped),
         }

@@ -27,6 +27,7 @@ from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Read
 from bench.run.chamber_watch import SLOW_AFTER_S
+from bench.run.clock_watch import ClockWatch
 from bench.run.control import ControlFile
 from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
@@ -249,6 +250,7 @@ def carry_out(
                 ),
                 least_samples=bench.least_samples,
                 slow_chamber_s=_slow_chamber_s(bench),
+                clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
             ).run(resume)

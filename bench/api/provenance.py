@@ -8,6 +8,7 @@ from importlib import metadata
 
 from bench.api.origin import Origin
 from bench.api.source import Source
+from bench.run.folder import Run
 
 PACKAGES = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
 
@@ -41,11 +42,21 @@ def provenance(source: Source) -> dict[str, str]:
     if origin is not None:
         stated.update(_measured(origin))
     if run is not None:
-        stated["record"] = f"{len(run.history.events)} events, chain of hashes whole"
+        head = record_head(run)
+        stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"
     if origin is not None:
         stated["measured with"] = _listed(origin.measured_with)
     stated["evaluated with"] = _listed(versions())
     return stated
+
+
+def record_head(run: Run) -> dict[str, str | int]:
+    """Return by what a record can be known again: how many events it has, and the head of their chain.
+
+    The head is the SHA-256 of the last line, and through it of all before: kept elsewhere, as in a result, it shows
+    whether any was changed, removed or added since.
+    """
+    return {"events": len(run.history.events), "head": run.history.head}
 
 
 def _measured(origin: Origin) -> dict[str, str]:

@@ -132,6 +132,8 @@ class EventType(StrEnum):
     """`wish`; `why`, a sentence."""
     CHAMBER_SLOW = "chamber_slow"
     """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
+    CLOCK_JUMPED = "clock_jumped"
+    """`ahead_s`, by how much civil time went ahead of the bench's since the event before."""
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
 

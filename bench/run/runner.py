@@ -16,6 +16,7 @@ from typing import Any, Final
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
 from bench.run.chamber_watch import SLOW_AFTER_S
+from bench.run.clock_watch import ClockWatch
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
 from bench.run.manifest import RecordError
@@ -60,7 +61,8 @@ class Runner:
     `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
     resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
     person's, not the bench's. `least_samples` is how few samples every voltmeter takes. After `hold_signals` no
-    signal raises anything any more. A chamber that hardly moves is told of after `slow_chamber_s`.
+    signal raises anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time
+    that jumps where `clocks` see to it.
     """
 
     plan: Plan
@@ -78,6 +80,7 @@ class Runner:
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
     slow_chamber_s: float = SLOW_AFTER_S
+    clocks: ClockWatch | None = None
     on_settling: Callable[[Settling], None] = lambda state: None
     hold_signals: Callable[[], None] = lambda: None
     state: RunState = RunState.READY
@@ -184,6 +187,8 @@ class Runner:
         for observer in self.observers:
             with suppress(OSError):  # a terminal that was closed shows nothing more; the run goes on
                 observer(event)
+        if self.clocks is not None and (ahead_s := self.clocks.gap_s()):
+            self._emit(EventType.CLOCK_JUMPED, ahead_s=round(ahead_s, 1))
 
     def _now_s(self) -> float:
         return self.clock.now_s() - self._zero_s

@@ -223,6 +223,13 @@ def sentence(event: Event) -> str:
             return f"failed, tried again: {data['error']}"
         case EventType.WISH_REFUSED:
             return f"{data['wish']} is not possible: {data['why']}"
+        case EventType.CLOCK_JUMPED:
+            ahead_s = data["ahead_s"]
+            way = "ahead" if ahead_s > 0 else "back"
+            return (
+                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time was set; "
+                "what drifts went on, so take the last point again where that matters"
+            )
         case EventType.CHAMBER_SLOW:
             return (
                 f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Final
 
 from bench.run.control import SIGN
@@ -38,7 +38,8 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return lines that say what can be typed."""
+    """Return lines that say what can be typed; `wishes` may have their meanings where these are not a run's."""
+    meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind] + ", ".join(prompt.choices)
     if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
         answer = "yes, or no"
@@ -51,5 +52,5 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
         lines.append(f"  Enter alone: {prompt.default}")
     for wish in wishes:
         typed = f"{SIGN}{wish.value}" + (" REASON" if wish is Wish.SKIP else "")
-        lines.append(f"  {typed}: {MEANINGS[wish]}")
+        lines.append(f"  {typed}: {meanings[wish]}")
     return "\n".join(lines)
