@@ -128,6 +128,8 @@ class EventType(StrEnum):
     """`step`, and an early sign."""
     SAME_SERIAL = "same_serial"
     """`words`, a sentence: instruments that state one serial number."""
+    WENT_ON = "went_on"
+    """`step` and `causes` of an early sign that stopped the run; `reason` why it is gone on."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
     CHAMBER_SLOW = "chamber_slow"

@@ -216,7 +216,9 @@ def sentence(event: Event) -> str:
     data = event.data
     match event.type:
         case EventType.EARLY_SIGN:
-            return f"look: {data['sentence']}"
+            return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
+        case EventType.WENT_ON:
+            return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
         case EventType.SAME_SERIAL:
             return f"look: {data['words']}"
         case EventType.STEP_FAILED:

@@ -17,6 +17,7 @@ MEANINGS: Final = {
     Wish.CONTINUE: "go on after a pause",
     Wish.REPEAT_POINT: "take the last point again; its last reading counts",
     Wish.REPEAT_PASS: "take the last pass again from its first point",
+    Wish.MOUNT_AGAIN: "mount the block again, then take the last pass again",
     Wish.SKIP: "leave this point out, with the reason in the record",
     Wish.ABORT: "end the run for good; what was read is kept ('Ctrl-C' stops it so that it can be resumed)",
 }
