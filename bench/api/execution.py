@@ -17,7 +17,7 @@ from rich.console import Console
 
 from bench.api.errors import Refused
 from bench.api.provenance import versions
-from bench.api.source import bench_path
+from bench.api.taken import bench_path, why_taken
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -124,6 +124,7 @@ def new_run(
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
+        "bench_why": why_taken(bench),
         "plan_hash": plan.hash,
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
