@@ -1,7 +1,7 @@
 """What a record of 100,000 events costs: to go on with it, to check it, and to list 1,000 of them.
 
 The events are those of a run of turns and readings of ten samples a channel, written as the runner writes them.
-Each figure is the CPU time and the peak of memory of a process of its own, its start included save for the bare work:
+Each figure is the CPU time and the peak of memory of a process of its own, with its start but for the bare work:
 
     python -m benchmarks.record_size
 """

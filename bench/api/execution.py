@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +17,7 @@ from rich.console import Console
 
 from bench.api.errors import Refused
 from bench.api.provenance import versions
-from bench.api.source import bench_path
+from bench.api.taken import bench_path, why_taken
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -25,8 +26,9 @@ from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
-from bench.procedure.plan import Read
+from bench.procedure.plan import Plan, Read
 from bench.run.chamber_watch import SLOW_AFTER_S
+from bench.run.clock_watch import ClockWatch
 from bench.run.control import ControlFile
 from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
@@ -35,11 +37,12 @@ from bench.run.log import RunLog
 from bench.run.manifest import Manifest, RecordError
 from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
-from bench.run.runner import RunAborted, Runner, Watch
+from bench.run.runner import RunAborted, Runner
 from bench.run.signals import Interrupts
 from bench.run.states import ENDED
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.watch.early_warning import EarlyWarning
+from bench.run.watch.watcher import Watcher
 from bench.run.way_out import with_notes
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
@@ -121,6 +124,7 @@ def new_run(
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
+        "bench_why": why_taken(bench),
         "plan_hash": plan.hash,
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
@@ -220,6 +224,9 @@ def carry_out(
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
     bench = load_bench(run.folder / BENCH)
+    watcher = watcher_of(run.plan, bench)
+    if history:
+        watcher.recall(history.taken[-MOST_RECALLED:], history.progress)
     where = "simulated instruments" if run.simulated else "the bench"
     verb = "goes on" if resume else "starts"
     if not quiet.get():
@@ -237,17 +244,20 @@ def carry_out(
                 clock=assembly.clock,
                 record=record,
                 range_v=bench.voltmeter_range_v,
-                observers=(*assembly.observers, bar, RunLog(run.folder, run.plan)),
+                observers=(*assembly.observers, watcher.observe, bar, RunLog(run.folder, run.plan)),
                 at_resumed_time=assembly.at_resumed_time,
                 controls=ControlFile(run.folder),
                 progress=Progress.of(history) if history else Progress(),
-                watch=_watch(run, bench, history),
+                watch=watcher.take,
+                # who resumes a dry run that stopped is there to be asked
+                decider=TerminalPerson(sys.stdin, out, bar.pause, bar.go_on) if history else None,
                 block_limits_c=(
                     bench.unit_under_test.temperature.minimum,
                     bench.unit_under_test.temperature.maximum,
                 ),
                 least_samples=bench.least_samples,
                 slow_chamber_s=_slow_chamber_s(bench),
+                clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
             ).run(resume)
@@ -287,22 +297,23 @@ def _assembly(
             yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire, haste), bar
 
 
-def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
-    """Compare each reading with what the model expects from those before it, the last on record included."""
-    readings = sum(isinstance(step, Read) for step in run.plan.steps)
+def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
+    """Return who compares each reading of a plan with what the model expects from those before it."""
+    reads = [step for step in plan.steps if isinstance(step, Read)]
+    following = {
+        (read.series, read.installation, read.pass_number, read.point): after.target_rad
+        for read, after in pairwise(reads)
+        if after.target_rad is not None
+        and (read.series, read.installation) == (after.series, after.installation)
+    }
     warning = EarlyWarning(
         bench.unit_under_test.scale_factors.values,
         ForwardModel(bench.installation_models()),
         {name: distribution.u for name, distribution in bench.stand_distributions().items()},
-        readings=readings,
+        readings=len(reads),
+        following=following,
     )
-
-    for taken in history.taken[-MOST_RECALLED:] if history else ():
-        if taken is None:
-            warning.remounted()
-        else:
-            warning.take(taken[1])
-    return warning.take
+    return Watcher(warning)
 
 
 def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
