@@ -308,8 +308,8 @@ def judge(outcome: Outcome, process: Process, served: Served, run: Path) -> None
     by_signal = {-number for number in SIGNALS}
     allowed = {"finished": {0, 2, *by_signal}, "not begun": {2, *by_signal}}.get(outcome.state, {2})
     if outcome.state in ("interrupted", "failed"):
-        # a signal after the way out, while the message is printed, ends the process as any other
-        late = len(outcome.trial.signals) > 1 or outcome.trial.phase == "run_failed"
+        # a signal after the way out, when the message stands there or is printed, ends the process as any other
+        late = len(outcome.trial.signals) > 1 or "go on with 'bench resume" in said
         allowed = allowed | (by_signal if late else set())
     if status not in allowed and not outcome.too_early:
         wrong.append(f"it ended with {status}, the run is {outcome.state}: {said.strip()[-300:]}")

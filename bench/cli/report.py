@@ -35,6 +35,7 @@ def report(
 ) -> int:
     """Write the report of a run: one HTML page."""
     from bench.api.calibration import calibration_of
+    from bench.api.errors import Refused
     from bench.api.source import Request, load_sources
 
     printing.check_target(json)
@@ -42,7 +43,12 @@ def report(
     on = printing.console(json=json)
     printing.bench_files([loaded], json)
     result = calibration_of(loaded)
-    verdict = printing.report(result, on)
+    try:
+        verdict = printing.report(result, on)
+    except OSError as error:
+        raise Refused(
+            f"{error.filename}: the page cannot be written ({error.strerror}); choose another place with --out DIR"
+        ) from error
     if verdict is not None:
         on.print(verdict.verdict(), style="bold")
     page = str(loaded.output("report", ".html", what_if=loaded.what_if))
