@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from bench.analysis.diagnosis import Diagnosis, ThresholdCache
-from bench.analysis.diagnosis.full import FullDiagnosis, diagnose_fully
+from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
 from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
 from bench.api.provenance import provenance
@@ -58,7 +58,7 @@ class DiagnosisResult:
     @property
     def bench(self) -> str:
         """Which bench file gave the errors of the stand and gravity; and why that one."""
-        return self.source.bench_taken
+        return self.source.taken.words
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench diagnose --json` writes it; no file was written, so it names none."""
@@ -132,16 +132,22 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
     readings do not determine the coefficients, `TooLittleLeft` where they would not without their mistakes.
     """
     readings, known = put_right(source)
-    return diagnose_fully(
-        readings,
-        source.model,
-        source.bench,
-        source.g_m_s2,
-        ThresholdCache(cache_folder("thresholds")),
-        source=source.name,
-        simulated=source.simulated,
-        known=known,
-    )
+    taken = source.taken.to_dict()
+    try:
+        full = diagnose_fully(
+            readings,
+            source.model,
+            source.bench,
+            source.g_m_s2,
+            ThresholdCache(cache_folder("thresholds")),
+            source=source.name,
+            simulated=source.simulated,
+            known=known,
+        )
+    except TooLittleLeft as found:
+        found.bench = taken
+        raise
+    return replace(full, bench=taken)
 
 
 def diagnosis_page(source: Source, full: FullDiagnosis) -> str:

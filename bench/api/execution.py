@@ -17,7 +17,7 @@ from rich.console import Console
 
 from bench.api.errors import Refused
 from bench.api.provenance import versions
-from bench.api.source import bench_path
+from bench.api.taken import bench_path, why_taken
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -124,6 +124,7 @@ def new_run(
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
+        "bench_why": why_taken(bench),
         "plan_hash": plan.hash,
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
@@ -260,14 +261,15 @@ def carry_out(
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
             ).run(resume)
+        _refuse_renamed(record)
     except RunAborted as why:
-        raise Refused(f"aborted{': ' if str(why) else ''}{with_notes(why)}; {_recorded(run)}") from None
+        raise Refused(f"aborted{': ' if str(why) else ''}{with_notes(why)}; {_recorded(record)}") from None
     except KeyboardInterrupt as stop:
         raise Refused(
-            f"interrupted; {with_notes(stop)}{'; ' if with_notes(stop) else ''}{_kept(run)}"
+            f"interrupted; {with_notes(stop)}{'; ' if with_notes(stop) else ''}{_kept(record)}"
         ) from None
     except (BenchError, RecordError) as error:
-        raise Refused(f"{with_notes(error)}; {_kept(run)}") from error
+        raise Refused(f"{with_notes(error)}; {_kept(record)}") from error
     finally:
         record.close()
 
@@ -331,10 +333,31 @@ def _elapsed_s(history: History) -> float:
     return last.bench_s + max(0.0, (utc_now() - datetime.fromisoformat(last.time)).total_seconds())
 
 
-def _recorded(run: Run) -> str:
-    done = sum(taken is not None for taken in read_history(run.folder).taken)
-    return f"{done} readings are kept in {run.folder}"
+def _refuse_renamed(record: Record) -> None:
+    """Raise `Refused` where the folder of a finished run is not where it was: its results would go nowhere."""
+    place = record.whereabouts()
+    if place == record.folder:
+        return
+    now = f"it is {place} now" if place else "it is not found beside the other runs"
+    again = place or "FOLDER"
+    raise Refused(
+        f"{record.folder}: the run is finished and recorded, but its folder was renamed or moved ({now}); "
+        f"'bench report {again}' makes its results there"
+    )
 
 
-def _kept(run: Run) -> str:
-    return f"{_recorded(run)}; go on with 'bench resume {run.name}'"
+def _recorded(record: Record) -> str:
+    """Say how much is kept, and where; the folder may have been renamed while the run went on."""
+    place = record.whereabouts()
+    if place is None:
+        return f"{record.folder} was moved or deleted while the run went on"
+    try:
+        done = sum(taken is not None for taken in read_history(place).taken)
+    except RecordError as error:
+        return str(error)
+    return f"{done} readings are kept in {place}"
+
+
+def _kept(record: Record) -> str:
+    place = record.whereabouts() or record.folder
+    return f"{_recorded(record)}; go on with 'bench resume {place.name}'"

@@ -135,8 +135,11 @@ def dry_bench(
 
 
 def _recall(world: World, taken: Sequence[Reading]) -> None:
-    """Tell a world the readings on record; a free position, of which nobody knows how it was, is none to it."""
-    for reading in taken:
+    """Tell a world the readings on record, where an effect in it looks back to them.
+
+    A free position, of which nobody knows how it was, is none to it.
+    """
+    for reading in taken if world.settings.model.needs_history else ():
         label, angle_deg = reading.installation, reading.angle_deg
         at_inputs = {SHORTED: 0.0, REFERENCE: reading.reference_v}
         if label not in at_inputs and (label not in world.settings.model.installations or angle_deg is None):

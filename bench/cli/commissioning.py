@@ -17,7 +17,7 @@ def commission_bench(
     Raises `Refused` without a person or a folder, `FileMistakes`.
     """
     from bench.api.commissioning import PAGE, Setting, commission, free_folder
-    from bench.api.source import bench_path
+    from bench.api.taken import bench_path
     from bench.base.visible import visible
     from bench.commission.evening import WISHES
     from bench.files.bench.file import load_bench

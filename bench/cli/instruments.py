@@ -72,7 +72,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
     from bench.api.instruments import look_at
-    from bench.api.source import bench_path
+    from bench.api.taken import bench_path
     from bench.files.bench.file import load_bench
     from bench.run.signals import Interrupts
     from drivers.wire.log import logged_wire

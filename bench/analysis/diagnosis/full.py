@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ class FullDiagnosis:
     next_measurement: Proposal | None
     model: Path | None = None
     report: Path | None = None
+    bench: Mapping[str, str] | None = None
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
         """Return the ranking of the effect of this number; nothing where it was not ranked."""
@@ -58,6 +59,7 @@ class FullDiagnosis:
             "coefficients": {name: asdict(change) for name, change in shown.coefficients.items()},
             "ranking": [[rival.to_dict() for rival in one] for one in self.ranking],
             "source": self.source,
+            "bench": None if self.bench is None else dict(self.bench),
             "simulated": self.simulated,
             "skipped_rows": list(self.skipped_rows),
             "report": None if self.report is None else str(self.report),
@@ -71,6 +73,7 @@ class TooLittleLeft(CalibrationError):
     def __init__(self, mistakes: Sequence[Mistake], reason: str, *, simulated: bool) -> None:
         self.mistakes = tuple(mistakes)
         self.simulated = simulated
+        self.bench: Mapping[str, str] | None = None
         self.reason = reason
         told = "; ".join(mistake.words for mistake in mistakes)
         super().__init__(f"a mistake: {told}; put right, {reason}")
@@ -98,6 +101,7 @@ class TooLittleLeft(CalibrationError):
             "source": source,
             "simulated": self.simulated,
             "skipped_rows": [],
+            "bench": None if self.bench is None else dict(self.bench),
             "report": None,
         }
 
