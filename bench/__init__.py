@@ -13,9 +13,11 @@ Readings are a file, a run by name, or a pandas DataFrame with the columns of th
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
 
+TYPE_CHECKING = False  # as `typing` has it: its import would be a while in which Ctrl-C leaves a traceback
 if TYPE_CHECKING:
+    from typing import Any, Final
+
     from bench.analysis.calibration import CalibrationError
     from bench.api.budget import BudgetResult, budget
     from bench.api.calibration import CalibrationResult, Coefficient, VerificationResult

@@ -115,13 +115,21 @@ class SwitchInputs(TypedDict):
     reference_v: NotRequired[float | None]
 
 
+class HandleCable(TypedDict):
+    """Pull the cable of an instrument, or plug it in."""
+
+    do: Literal["cable"]
+    instrument: str
+    plugged: bool
+
+
 class Say(TypedDict):
-    """Read the chamber's thermometer, answer a question, or wait: nothing on the bench is changed."""
+    """Read the chamber's thermometer, answer, see that the way is clear, or wait: nothing is changed."""
 
-    do: Literal["read_temperature", "answer", "ask", "wait"]
+    do: Literal["read_temperature", "answer", "ask", "wait", "stand_clear"]
 
 
-Action = MountBlock | TurnHead | SetChamber | SwitchInputs | Say
+Action = MountBlock | TurnHead | SetChamber | SwitchInputs | HandleCable | Say
 """What a prompt asks a person to do, for one that is a program."""
 
 

@@ -47,9 +47,7 @@ class Measuring:
     def set_nplc(self, nplc: float) -> None:
         """Set the integration, and with it the resolution."""
         self.nplc = nplc
-        self.settings.resolution = next(
-            step for least, step in facts.DECIMALS_BY_NPLC.items() if nplc >= least
-        )
+        self.settings.resolution = next(step for least, step in facts.RESOLUTION.items() if nplc >= least)
 
 
 class Buffer(MeasuringCycle):

@@ -21,7 +21,8 @@ from bench.analysis.calibration.verification import rule_name
 from bench.api.calibration import check_limit
 from bench.api.coefficients import read_coefficients
 from bench.api.errors import Refused
-from bench.api.source import NO_GRAVITY, BenchTaken, check_gravity, find_bench_file
+from bench.api.source import NO_GRAVITY, check_gravity
+from bench.api.taken import BenchTaken, find_bench_file
 from bench.base.tables import as_html, as_text
 from bench.base.whole import write_whole
 from bench.files.bench.file import BenchFile
@@ -74,7 +75,7 @@ class BudgetResult:
 
 
 def budget(
-    bench: str | Path | BenchFile | None = None,
+    bench: str | Path | BenchFile | BenchTaken | None = None,
     procedure: str = "calibration",
     estimator: str = GLS,
     *,
@@ -108,6 +109,7 @@ def budget(
     found = assess(setup, bench_sources(file, setup), estimator, question)
     head = {
         "bench": file.name,
+        "bench_file": taken.to_dict(),
         "procedure": plan.name,
         "model": setup.model.name,
         "about": about,

@@ -19,7 +19,7 @@ from bench.analysis.calibration.verification import COVERAGE_FACTOR, GUARDED, SI
 from bench.analysis.temperature.plateaus import separate_temperatures
 from bench.api.coefficients import Coefficients, read_coefficients
 from bench.api.errors import Refused
-from bench.api.provenance import provenance
+from bench.api.provenance import provenance, record_head
 from bench.api.source import Source
 from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places
@@ -66,7 +66,7 @@ class CalibrationResult:
     @property
     def bench(self) -> str:
         """Which bench file gave the errors of the stand and, where nobody said it, gravity; and why that one."""
-        return self.source.bench_taken
+        return self.source.taken.words
 
     @property
     def g_m_s2(self) -> float:
@@ -96,9 +96,11 @@ class CalibrationResult:
         return {
             **self.calibration.to_json(),
             "source": source.name,
+            "bench": source.taken.to_dict(),
             "made_at": source.made_at,
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
+            **({} if source.run is None else {"record": record_head(source.run)}),
             "notes": [*self.doubts, *self.calibration.notes, *source.readings.notes],
             "skipped_rows": list(source.readings.skipped),
         }
@@ -206,9 +208,15 @@ class VerificationResult:
         return self.verification.passed
 
     @property
+    def otherwise(self) -> bool:
+        """Whether it is judged by another rule than a run's own verdict is, or another limit."""
+        own = SIMPLE, self.source.bench.verification_limit_g
+        return (self.verification.rule, self.verification.limit_g) != own
+
+    @property
     def bench(self) -> str:
         """Which bench file gave the limit, the errors of the stand and gravity; and why that one."""
-        return self.source.bench_taken
+        return self.source.taken.words
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -217,7 +225,7 @@ class VerificationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench verify --json` writes it."""
-        return self.verification.to_json()
+        return {**self.verification.to_json(), "bench": self.source.taken.to_dict()}
 
     def table(self) -> Table:
         """Return Δg at each verification point."""

@@ -57,7 +57,7 @@ class DiagnosisResult:
     @property
     def bench(self) -> str:
         """Which bench file gave the errors of the stand and gravity; and why that one."""
-        return self.source.bench_taken
+        return self.source.taken.words
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench diagnose --json` writes it; no file was written, so it names none."""
@@ -129,7 +129,7 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
 
     Raises `CalibrationError` where the readings do not determine the coefficients.
     """
-    return diagnose_fully(
+    full = diagnose_fully(
         source.readings,
         source.model,
         source.bench,
@@ -138,6 +138,7 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
         source=source.name,
         simulated=source.simulated,
     )
+    return replace(full, bench=source.taken.to_dict())
 
 
 def diagnosis_page(source: Source, full: FullDiagnosis) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +17,7 @@ from rich.console import Console
 
 from bench.api.errors import Refused
 from bench.api.provenance import versions
-from bench.api.source import bench_path
+from bench.api.taken import bench_path, why_taken
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -25,8 +26,9 @@ from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
-from bench.procedure.plan import Read
+from bench.procedure.plan import Plan, Read
 from bench.run.chamber_watch import SLOW_AFTER_S
+from bench.run.clock_watch import ClockWatch
 from bench.run.control import ControlFile
 from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
@@ -35,11 +37,12 @@ from bench.run.log import RunLog
 from bench.run.manifest import Manifest, RecordError
 from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
-from bench.run.runner import RunAborted, Runner, Watch
+from bench.run.runner import RunAborted, Runner
 from bench.run.signals import Interrupts
 from bench.run.states import ENDED
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.watch.early_warning import EarlyWarning
+from bench.run.watch.watcher import Watcher
 from bench.run.way_out import with_notes
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
@@ -121,6 +124,7 @@ def new_run(
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
+        "bench_why": why_taken(bench),
         "plan_hash": plan.hash,
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
@@ -220,6 +224,9 @@ def carry_out(
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
     bench = load_bench(run.folder / BENCH)
+    watcher = watcher_of(run.plan, bench)
+    if history:
+        watcher.recall(history.taken[-MOST_RECALLED:], history.progress)
     where = "simulated instruments" if run.simulated else "the bench"
     verb = "goes on" if resume else "starts"
     if not quiet.get():
@@ -237,28 +244,32 @@ def carry_out(
                 clock=assembly.clock,
                 record=record,
                 range_v=bench.voltmeter_range_v,
-                observers=(*assembly.observers, bar, RunLog(run.folder, run.plan)),
+                observers=(*assembly.observers, watcher.observe, bar, RunLog(run.folder, run.plan)),
                 at_resumed_time=assembly.at_resumed_time,
                 controls=ControlFile(run.folder),
                 progress=Progress.of(history) if history else Progress(),
-                watch=_watch(run, bench, history),
+                watch=watcher.take,
+                # who resumes a dry run that stopped is there to be asked
+                decider=TerminalPerson(sys.stdin, out, bar.pause, bar.go_on) if history else None,
                 block_limits_c=(
                     bench.unit_under_test.temperature.minimum,
                     bench.unit_under_test.temperature.maximum,
                 ),
                 least_samples=bench.least_samples,
                 slow_chamber_s=_slow_chamber_s(bench),
+                clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
             ).run(resume)
+        _refuse_renamed(record)
     except RunAborted as why:
-        raise Refused(f"aborted{': ' if str(why) else ''}{with_notes(why)}; {_recorded(run)}") from None
+        raise Refused(f"aborted{': ' if str(why) else ''}{with_notes(why)}; {_recorded(record)}") from None
     except KeyboardInterrupt as stop:
         raise Refused(
-            f"interrupted; {with_notes(stop)}{'; ' if with_notes(stop) else ''}{_kept(run)}"
+            f"interrupted; {with_notes(stop)}{'; ' if with_notes(stop) else ''}{_kept(record)}"
         ) from None
     except (BenchError, RecordError) as error:
-        raise Refused(f"{with_notes(error)}; {_kept(run)}") from error
+        raise Refused(f"{with_notes(error)}; {_kept(record)}") from error
     finally:
         record.close()
 
@@ -286,22 +297,23 @@ def _assembly(
             yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire, haste), bar
 
 
-def _watch(run: Run, bench: BenchFile, history: History | None) -> Watch:
-    """Compare each reading with what the model expects from those before it, the last on record included."""
-    readings = sum(isinstance(step, Read) for step in run.plan.steps)
+def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
+    """Return who compares each reading of a plan with what the model expects from those before it."""
+    reads = [step for step in plan.steps if isinstance(step, Read)]
+    following = {
+        (read.series, read.installation, read.pass_number, read.point): after.target_rad
+        for read, after in pairwise(reads)
+        if after.target_rad is not None
+        and (read.series, read.installation) == (after.series, after.installation)
+    }
     warning = EarlyWarning(
         bench.unit_under_test.scale_factors.values,
         ForwardModel(bench.installation_models()),
         {name: distribution.u for name, distribution in bench.stand_distributions().items()},
-        readings=readings,
+        readings=len(reads),
+        following=following,
     )
-
-    for taken in history.taken[-MOST_RECALLED:] if history else ():
-        if taken is None:
-            warning.remounted()
-        else:
-            warning.take(taken[1])
-    return warning.take
+    return Watcher(warning)
 
 
 def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
@@ -321,10 +333,31 @@ def _elapsed_s(history: History) -> float:
     return last.bench_s + max(0.0, (utc_now() - datetime.fromisoformat(last.time)).total_seconds())
 
 
-def _recorded(run: Run) -> str:
-    done = sum(taken is not None for taken in read_history(run.folder).taken)
-    return f"{done} readings are kept in {run.folder}"
+def _refuse_renamed(record: Record) -> None:
+    """Raise `Refused` where the folder of a finished run is not where it was: its results would go nowhere."""
+    place = record.whereabouts()
+    if place == record.folder:
+        return
+    now = f"it is {place} now" if place else "it is not found beside the other runs"
+    again = place or "FOLDER"
+    raise Refused(
+        f"{record.folder}: the run is finished and recorded, but its folder was renamed or moved ({now}); "
+        f"'bench report {again}' makes its results there"
+    )
 
 
-def _kept(run: Run) -> str:
-    return f"{_recorded(run)}; go on with 'bench resume {run.name}'"
+def _recorded(record: Record) -> str:
+    """Say how much is kept, and where; the folder may have been renamed while the run went on."""
+    place = record.whereabouts()
+    if place is None:
+        return f"{record.folder} was moved or deleted while the run went on"
+    try:
+        done = sum(taken is not None for taken in read_history(place).taken)
+    except RecordError as error:
+        return str(error)
+    return f"{done} readings are kept in {place}"
+
+
+def _kept(record: Record) -> str:
+    place = record.whereabouts() or record.folder
+    return f"{_recorded(record)}; go on with 'bench resume {place.name}'"

@@ -28,7 +28,9 @@ from bench.api.calibration import (
     verification_of,
 )
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
-from bench.api.source import Request, Source, find_bench_file, load_sources
+from bench.api.origin import origin_beside
+from bench.api.source import Request, Source, load_sources
+from bench.api.taken import bench_of, find_bench_file
 from bench.files.bench.file import BenchFile
 from bench.readings.csv import read_csv, read_frame
 from bench.readings.table import Readings
@@ -59,10 +61,14 @@ def read_readings(
     The bench file says which installations there are. Raises `ReadingsError` with every bad row, unless those are
     to be skipped: `Readings.skipped` lists them then.
     """
-    installations = _bench_file(bench).installation_models()
+    given = str(bench) if isinstance(bench, Path) else bench
     if isinstance(readings, str | Path):
-        return read_csv(Path(readings), installations, skip_bad_rows=skip_bad_rows)
-    return read_frame(readings, installations, skip_bad_rows=skip_bad_rows)
+        path = Path(readings)
+        taken, _ = bench_of(str(path), None, origin_beside(path), given)
+        return read_csv(path, taken.file.installation_models(), skip_bad_rows=skip_bad_rows)
+    return read_frame(
+        readings, find_bench_file(given).file.installation_models(), skip_bad_rows=skip_bad_rows
+    )
 
 
 def calibrate(
@@ -81,7 +87,8 @@ def calibrate(
     """Return the twelve coefficients of U = K a + U0 with their uncertainty, as `bench calibrate` finds them.
 
     `bench` gives the errors of the stand and local gravity; without it a run is evaluated with the bench file that
-    it recorded, all else with that of BENCH_FILE or the shipped paper-stand; `result.bench` says which. `g` is
+    it recorded, all else with that of BENCH_FILE, a readings file with the one that the file beside it names
+    (`bench export` writes it), or the shipped paper-stand; `result.bench` says which. `g` is
     local gravity in m/s² in place of the bench file's, `model` a model file with effects beside the paper's terms,
     `runs` the folder of runs (BENCH_RUNS, or ./runs). `join_free` lets free positions (F) join by |a| = 1 g,
     `join_verification` the verification points, `nominal_angles` takes the target angles.
@@ -166,7 +173,7 @@ class DryRun:
 
     def __repr__(self) -> str:
         """Return what was run, and the result."""
-        lines = [f"Dry run {self.run.name}: {len(self.readings)} readings, bench {self.source.bench_taken}"]
+        lines = [f"Dry run {self.run.name}: {len(self.readings)} readings, bench {self.source.taken.words}"]
         if self.verification is not None:
             lines.append(self.verification.verdict())
         return "\n".join(lines)
@@ -203,10 +210,6 @@ def dry_run(
     carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
     (source,) = load_sources(Request([str(new.folder)], place))
     return DryRun(Run(new.folder), source, folder)
-
-
-def _bench_file(bench: Bench) -> BenchFile:
-    return find_bench_file(str(bench) if isinstance(bench, Path) else bench).file
 
 
 def _loaded(

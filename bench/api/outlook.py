@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,9 @@ from typing import Any
 from bench.analysis.planning.remedies import Outlook, outlook
 from bench.analysis.planning.settings import Cost, settings_of
 from bench.api.errors import Refused
-from bench.api.source import bench_path
+from bench.api.taken import bench_path
 from bench.base.forms import FileMistakes
+from bench.devices.wires import is_serial
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
@@ -47,6 +48,7 @@ class Findings:
     largest_signal_v: float
     undetermined: Mapping[float | None, tuple[str, ...]]
     outlook: Outlook | None
+    hints: tuple[str, ...]
 
     @property
     def expected_s(self) -> float:
@@ -79,6 +81,7 @@ class Findings:
             "observability": self.outlook and self.outlook.to_json(),
             "problems": list(self.problems),
             "dry_run_refuses": list(self.unanswered),
+            "hints": list(self.hints),
         }
 
 
@@ -131,7 +134,18 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
         largest_signal_v=largest_signal_v(plan, bench),
         undetermined=undetermined_at,
         outlook=_outlook(plan, bench) if () in undetermined_at.values() else None,
+        hints=tuple(_hints(bench)),
     )
+
+
+def _hints(bench: BenchFile) -> Iterator[str]:
+    """Say what is no mistake on a simulated bench, and likely one on a real one."""
+    for meter in bench.instruments.voltmeters:
+        if is_serial(meter.resource) and meter.interface == "lan":
+            yield (
+                f"{meter.name}: {meter.resource} is a serial port, and a meter there takes commands only when put "
+                "into remote: say 'interface: rs232' (without it, it is taken for a meter of bench simulate)"
+            )
 
 
 def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from importlib import metadata
 
+from bench.api.origin import Origin
 from bench.api.source import Source
+from bench.run.folder import Run
 
 PACKAGES = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
 
@@ -23,32 +26,47 @@ def versions() -> dict[str, str]:
 
 def provenance(source: Source) -> dict[str, str]:
     """Return what the report says of where its numbers come from, in the order in which it says it."""
+    run, origin = source.run, source.origin
     stated = {
         "source": source.name,
         "unit under test": source.block_name or "not stated",
-        "bench": f"{source.bench.name} (SHA-256 {source.bench_sha256})",
+        "bench": f"{source.taken.words} (SHA-256 {source.taken.sha256})",
         "model": source.model.name,
     }
-    if source.run is not None:
-        manifest = source.run.manifest
-        stated["run"] = source.run.name
-        stated["begun"] = str(manifest.get("created", ""))
-        stated["operator"] = str(manifest.get("operator") or "not stated")
-        if "imported" in manifest:
-            stated["imported from"] = str(manifest["imported"])
-        else:
-            stated["procedure"] = f"{manifest.get('procedure')} (plan SHA-256 {manifest.get('plan_hash')})"
-            stated["instruments"] = "simulated" if source.run.simulated else "real"
-        stated.update(_identities(source))
-        stated["record"] = f"{len(source.run.history.events)} events, chain of hashes whole"
-        recorded = manifest.get("versions", {})
-        stated["measured with"] = ", ".join(f"{name} {version}" for name, version in recorded.items())
-    stated["evaluated with"] = ", ".join(f"{name} {version}" for name, version in versions().items())
+    if run is not None:
+        stated["run"] = run.name
+        if run.imported:
+            stated["imported from"] = str(run.manifest["imported"])
+    if origin is not None and origin.run != stated.get("run"):
+        stated["exported from run"] = origin.run
+    if origin is not None:
+        stated.update(_measured(origin))
+    if run is not None:
+        head = record_head(run)
+        stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"
+    if origin is not None:
+        stated["measured with"] = _listed(origin.measured_with)
+    stated["evaluated with"] = _listed(versions())
     return stated
 
 
-def _identities(source: Source) -> dict[str, str]:
-    """Identities of the instruments as they answered when the run was begun."""
-    if source.run is None:
-        return {}
-    return {name: str(identity) for name, identity in source.run.history.identities.items()}
+def record_head(run: Run) -> dict[str, str | int]:
+    """Return by what a record can be known again: how many events it has, and the head of their chain.
+
+    The head is the SHA-256 of the last line, and through it of all before: kept elsewhere, as in a result, it shows
+    whether any was changed, removed or added since.
+    """
+    return {"events": len(run.history.events), "head": run.history.head}
+
+
+def _measured(origin: Origin) -> dict[str, str]:
+    """What is known of the run that measured the readings: when, who, what, with which instruments."""
+    stated = {"begun": origin.begun, "operator": origin.operator or "not stated"}
+    if origin.procedure:
+        stated["procedure"] = f"{origin.procedure} (plan SHA-256 {origin.plan_hash})"
+        stated["instruments"] = "simulated" if origin.simulated else "real"
+    return stated | origin.instruments
+
+
+def _listed(versions_by_name: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in versions_by_name.items())

@@ -21,10 +21,10 @@ from bench.analysis.planning.requirements import (
 )
 from bench.api.errors import Refused
 from bench.api.quantities import named, quantity
-from bench.api.source import bench_path
+from bench.api.taken import BenchTaken, find_bench_file
 from bench.base.progress import tracked
 from bench.base.units import ACCELERATION, SCALE_FACTOR, VOLTAGE, QuantityKind
-from bench.files.bench.file import BenchFile, load_bench
+from bench.files.bench.file import BenchFile
 from bench.files.shipped import find_procedure
 from bench.model.block import COEFFICIENTS
 from bench.procedure.load import load_procedure
@@ -77,7 +77,7 @@ class RequirementAnswer:
     unbalanced: str
     alternatives: tuple[Alternative, ...]
     beside: float
-    bench: BenchFile
+    taken: BenchTaken
     plan: Plan
 
     def to_json(self) -> dict[str, Any]:
@@ -90,7 +90,8 @@ class RequirementAnswer:
             "accuracy": asked.accuracy,
             "unit": self.unit,
             "k": asked.k,
-            "bench": self.bench.name,
+            "bench": self.taken.file.name,
+            "bench_file": self.taken.to_dict(),
             "procedure": self.plan.name,
             "estimator": asked.estimator,
             "reached": asked.reached(),
@@ -127,7 +128,7 @@ def requirements(
     costs: Sequence[str],
     estimator: str,
     procedure: str,
-    bench: str | None,
+    bench: str | BenchTaken | None,
 ) -> RequirementAnswer:
     """Return how large each error of a bench may be for k u of `of` to keep to an accuracy.
 
@@ -135,7 +136,8 @@ def requirements(
     `Refused` for what cannot be asked, `FileMistakes`, `CalibrationError`.
     """
     estimator = in_a_budget(estimator).name
-    file = load_bench(bench_path(bench))
+    taken = find_bench_file(bench)
+    file = taken.file
     plan = load_procedure(find_procedure(procedure)).expand()
     setup = make_setup(plan, file)
     target, unit, kind = _target(of, up_to, file, reading=reading)
@@ -165,7 +167,7 @@ def requirements(
         unbalanced,
         tuple(_alternatives(asked, file, plan)),
         _beside(asked, every, _target(of, up_to, file, reading=True)[0]),
-        file,
+        taken,
         plan,
     )
 

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.api.errors import Refused
-from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
+from bench.api.origin import Origin, Told, origin_beside, origin_of_run
+from bench.api.taken import BenchTaken, bench_of, recorded_sha256
+from bench.files.bench.file import BenchFile
 from bench.files.model import ModelFile, load_model
-from bench.files.shipped import find_bench
 from bench.model import ForwardModel
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
-from bench.run.folder import BENCH, IMPORTED, Run, find_run
-from bench.run.manifest import MANIFEST, UnitUnderTest, sha256
+from bench.run.folder import IMPORTED, Run, find_run
+from bench.run.manifest import MANIFEST, sha256
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     Given: TypeAlias = str | Readings | pd.DataFrame
     """Readings to be evaluated: name or path of a run, path of a readings file, or a table in memory."""
 
-DEFAULT_BENCH = "paper-stand"
+WHAT_IF = "what-if"
 NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)"
 LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 
@@ -51,28 +52,29 @@ class Request:
 class Source:
     """One run, readings file or table, read, with its bench. `run` is None for all but a run.
 
-    `bench_taken` says which bench file it is, and why that one.
+    `taken` says which bench file it is, and why that one; `bench` is that of the unit whose readings these are.
+    `origin` is where they come from, None where nobody says it.
     """
 
     name: str
     readings: Readings
     bench: BenchFile
-    bench_sha256: str
-    bench_taken: str
+    taken: BenchTaken
     model: ForwardModel
     g_m_s2: float
     run: Run | None
+    origin: Origin | None
     request: Request
 
     @property
     def simulated(self) -> bool:
-        """Whether the readings come from simulated instruments (a readings file does not say)."""
-        return self.run is not None and self.run.simulated
+        """Whether the readings come from simulated instruments, as far as anybody says where they come from."""
+        return self.origin is not None and self.origin.simulated
 
     @property
     def block_name(self) -> str:
-        """Type and serial number of the block; empty for a readings file with no bench file of its own."""
-        if self.run is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
+        """Type and serial number of the block; empty where neither a run nor a bench file asked for says it."""
+        if self.origin is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
             return ""
         unit = self.bench.unit_under_test
         return f"{unit.type} {unit.serial}".strip()
@@ -80,19 +82,32 @@ class Source:
     @property
     def made_at(self) -> str | None:
         """Civil time at which the run was begun (ISO 8601); None where nobody recorded it."""
-        return self.run.created or None if self.run is not None else None
+        return self.origin.begun or None if self.origin is not None else None
+
+    @property
+    def what_if(self) -> bool:
+        """Whether a run is evaluated with something else than what it recorded: its own results stay then."""
+        if self.run is None:
+            return False
+        asked = self.request
+        other_bench = asked.bench is not None and self.taken.sha256 != recorded_sha256(self.run)
+        other_g = asked.g_m_s2 is not None and asked.g_m_s2 != self.bench.gravity_m_s2
+        return other_bench or other_g or asked.model is not None
 
     @property
     def stand_u(self) -> dict[str, float]:
         """Standard uncertainties of the stand's errors by name, rad (V for the voltmeter's)."""
         return {name: d.u for name, d in self.bench.stand_distributions().items()}
 
-    def output(self, command: str, suffix: str) -> Path:
+    def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
         """Return the file that a command writes for this source.
 
-        In the run's folder, in `--out`, or in a folder named after the command beside the readings file.
+        In the run's folder, in `--out`, or in a folder named after the command beside the readings file. What would
+        be, were something else than what the run recorded (`what_if`), goes into a folder of its own in the run's.
         """
-        return _output(self.name, self.run, self.request.out, command, suffix)
+        file = _output(self.name, self.run, self.request.out, command, suffix)
+        aside = what_if and self.run is not None and self.request.out is None
+        return file.parent / WHAT_IF / file.name if aside else file
 
 
 def load_sources(request: Request) -> list[Source]:
@@ -124,21 +139,16 @@ def data_sha256(readings: Readings) -> str:
     return sha256(format_csv(readings).encode())
 
 
-def bench_path(given: str | None) -> Path:
-    """Return the bench file asked for (in BENCH_FILE, if not said), or the shipped one that stands in for it."""
-    return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
-
-
 def _load(given: Given, request: Request) -> Source:
     run = _run_of(given, request.runs) if isinstance(given, str) else None
+    told = Told()
     if run is not None:
         run.trusted_history()
-    taken = _bench_of(run, request.bench)
-    bench = taken.file
-    notes: tuple[str, ...] = ()
-    if run is not None and request.bench is not None:
-        notes = (f"evaluated with {taken.where} in place of the bench file that the run recorded",)
-    bench, other_unit = _of_unit(bench, run.manifest.get("unit_under_test") if run is not None else None)
+        told = origin_of_run(run)
+    elif isinstance(given, str):
+        told = origin_beside(Path(given))
+    taken, notes = bench_of(given if isinstance(given, str) else "", run, told, request.bench)
+    bench, other_unit = _of_unit(taken.file, told.origin)
     notes += other_unit
     readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
     gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
@@ -151,52 +161,18 @@ def _load(given: Given, request: Request) -> Source:
         notes += of_model
     readings = replace(readings, notes=(*notes, *readings.notes))
     name = given if isinstance(given, str) else readings.source
-    return Source(name, readings, bench, sha256(taken.content), taken.words, model, gravity, run, request)
+    return Source(name, readings, bench, taken, model, gravity, run, told.origin, request)
 
 
-def _of_unit(bench: BenchFile, unit: UnitUnderTest | None) -> tuple[BenchFile, tuple[str, ...]]:
+def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[str, ...]]:
     """Return the bench with the unit that the readings are of, and a note where its file names another."""
     stated = bench.unit_under_test
-    if unit is None or (unit["type"], unit["serial"]) == (stated.type, stated.serial):
+    unit = origin.unit_under_test if origin is not None else None
+    if unit is None or (unit.type, unit.serial) == (stated.type, stated.serial):
         return bench, ()
-    note = (
-        f"the readings are of unit {unit['type']} {unit['serial']}; the bench file names "
-        f"{stated.type} {stated.serial}"
-    )
-    own = stated.model_copy(update={"type": unit["type"], "serial": unit["serial"]})
+    note = f"the readings are of unit {unit.type} {unit.serial}; the bench file names {stated.type} {stated.serial}"
+    own = stated.model_copy(update={"type": unit.type, "serial": unit.serial})
     return bench.model_copy(update={"unit_under_test": own}), (note,)
-
-
-@dataclass(frozen=True)
-class BenchTaken:
-    """A bench file, where it is, what stands in it, and in words which one it is and why that one."""
-
-    file: BenchFile
-    where: str
-    content: bytes
-    words: str
-
-
-def find_bench_file(given: str | BenchFile | None) -> BenchTaken:
-    """Return the bench file at hand or asked for, else that of BENCH_FILE, else the shipped one."""
-    if isinstance(given, BenchFile):
-        return BenchTaken(given, given.name, given.model_dump_json().encode(), f"{given.name}, as given")
-    path = bench_path(given)
-    bench = load_bench(path)
-    if given:
-        why = "as asked for"
-    else:
-        why = "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else "the shipped one, as none was named"
-    return BenchTaken(bench, str(path), path.read_bytes(), f"{bench.name}, {why}")
-
-
-def _bench_of(run: Run | None, given: str | BenchFile | None) -> BenchTaken:
-    """Return the bench file that a run recorded, where no other is asked for."""
-    if run is None or given is not None:
-        return find_bench_file(given)
-    path = run.folder / BENCH
-    bench = load_recorded_bench(path)
-    return BenchTaken(bench, str(path), path.read_bytes(), f"{bench.name}, as the run recorded it")
 
 
 def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_rows: bool) -> Readings:

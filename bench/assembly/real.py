@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from bench.devices.chambers import ChamberForm, ControlledChamberForm
@@ -29,7 +29,8 @@ class Surroundings:
     """What drivers are given beside their own section.
 
     `resources` has by name the resources that are taken in place of those in the bench file; `haste` tells
-    when instruments that do not answer are waited for no longer. What is opened is held by `holding`.
+    when instruments that do not answer are waited for no longer. What is opened is held by `holding`; `sessions`
+    takes up the sessions that are made, by the names of their instruments.
     """
 
     person: Person
@@ -39,11 +40,12 @@ class Surroundings:
     resources: Mapping[str, str] | None = None
     haste: Haste | None = None
     holding: Holding | None = None
+    sessions: dict[str, MessageSession] = field(default_factory=dict)
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
         """Return the message session of an instrument; nothing is opened."""
         port = section.port()
-        return MessageSession(
+        self.sessions[name] = MessageSession(
             name,
             (self.resources or {}).get(name, section.resource),
             timeout_s=section.timeout,
@@ -54,6 +56,7 @@ class Surroundings:
             haste=self.haste,
             holding=self.holding,
         )
+        return self.sessions[name]
 
 
 def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from bench.assembly.real import Surroundings, instruments_of
@@ -41,7 +41,7 @@ from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Person, Voltmeter
 from drivers.wire.haste import Haste
 from drivers.wire.holding import Holding
-from drivers.wire.visa import Wire
+from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
 from sim.wires.pty import TERMINALS
@@ -57,13 +57,18 @@ HELD: Final = "instruments"
 
 @dataclass(frozen=True)
 class Assembly:
-    """A bench put together: instruments, who answers prompts, the clock, and who watches the run."""
+    """A bench put together: instruments, who answers prompts, the clock, and who watches the run.
+
+    `sessions` are those of the instruments with a wire, `simulated` the bench behind them where it is a dry one.
+    """
 
     instruments: Instruments
     person: Person
     clock: Clock
     observers: tuple[Observer, ...] = ()
     at_resumed_time: Callable[[float], None] | None = None
+    sessions: Mapping[str, MessageSession] = field(default_factory=dict)
+    simulated: SimulatedBench | None = None
 
 
 def real_bench(
@@ -71,18 +76,15 @@ def real_bench(
 ) -> Assembly:
     """Put the bench of a bench file together; nothing is opened yet, and what is opened is held."""
     clock = SystemClock()
-    instruments = instruments_of(
-        bench,
-        Surroundings(
-            person,
-            clock,
-            bench.line_frequency,
-            wire,
-            haste=haste,
-            holding=Holding(cache_folder(HELD)),
-        ),
+    given = Surroundings(
+        person,
+        clock,
+        bench.line_frequency,
+        wire,
+        haste=haste,
+        holding=Holding(cache_folder(HELD)),
     )
-    return Assembly(instruments, person, clock)
+    return Assembly(instruments_of(bench, given), person, clock, sessions=given.sessions)
 
 
 @contextmanager
@@ -127,12 +129,17 @@ def dry_bench(
         )
         instruments = instruments_of(bench, given)
         _recall(world, taken)
-        yield Assembly(instruments, operator, clock, (key_world,), clock.advance_to)
+        yield Assembly(
+            instruments, operator, clock, (key_world,), clock.advance_to, given.sessions, simulated
+        )
 
 
 def _recall(world: World, taken: Sequence[Reading]) -> None:
-    """Tell a world the readings on record; a free position, of which nobody knows how it was, is none to it."""
-    for reading in taken:
+    """Tell a world the readings on record, where an effect in it looks back to them.
+
+    A free position, of which nobody knows how it was, is none to it.
+    """
+    for reading in taken if world.settings.model.needs_history else ():
         label, angle_deg = reading.installation, reading.angle_deg
         at_inputs = {SHORTED: 0.0, REFERENCE: reading.reference_v}
         if label not in at_inputs and (label not in world.settings.model.installations or angle_deg is None):

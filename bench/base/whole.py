@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,5 +47,6 @@ def write_whole(path: Path, text: str) -> None:
         half.write_text(text, encoding="utf-8", newline="")
         half.replace(path)
     except OSError as error:
-        half.unlink(missing_ok=True)
+        with suppress(OSError):  # a file system that is read-only refuses that, too
+            half.unlink(missing_ok=True)
         raise OSError(error.errno, error.strerror, str(path)) from error

@@ -65,9 +65,11 @@ def budget(
     printing.check_target(json)
     with progress.shown():
         from bench.api import budget as api
+        from bench.api.taken import find_bench_file
 
+        taken = find_bench_file(bench)
         found = api.budget(
-            bench,
+            taken,
             procedure,
             estimator,
             model=model,
@@ -78,6 +80,7 @@ def budget(
             same_voltmeters=same_voltmeters,
             g=g,
         )
+    printing.bench_file(taken, json)
     printing.write_json([found.to_dict()], json)
     if out is not None:
         _write_page(out, found, printing.console(json=json))

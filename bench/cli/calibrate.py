@@ -51,10 +51,13 @@ def calibrate(
     runs: RunsOption = RUNS,
 ) -> int:
     """Coefficients with uncertainty from runs or readings files."""
+    from bench.analysis.calibration.estimators import GLS, find_estimator
     from bench.api.calibration import calibration_of
     from bench.api.source import Request, load_sources
 
     printing.check_target(json)
+    loaded = load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows))
+    printing.bench_files(loaded, json)
     results = [
         calibration_of(
             source,
@@ -63,10 +66,12 @@ def calibrate(
             join_free=join_free,
             join_verification=join_verification,
         )
-        for source in load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows))
+        for source in loaded
     ]
+    other = find_estimator(estimator).name != GLS or nominal_angles or not join_free or join_verification
     for result in results:
-        file = printing.write_result(result.source, "calibrate", result.to_dict())
+        what_if = other or result.source.what_if
+        file = printing.write_result(result.source, "calibrate", result.to_dict(), what_if=what_if)
         if json == "-":
             printing.notes_aside(result.notes)
         else:

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.cli import printing
-from bench.cli.options import RUNS, BenchOption, JsonOption, ProcedureArgument, RunsOption, app
+from bench.cli.options import (
+    RUNS,
+    BenchOption,
+    JsonOption,
+    ProcedureArgument,
+    RunsOption,
+    app,
+    devices_given,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -75,6 +83,8 @@ def _print(found: Findings, *, every_step: bool) -> None:
         out.print(sentence)
     for sentence in _outlook_in_words(found.outlook):
         out.print(sentence)
+    for hint in found.hints:
+        out.print(f"look: {hint}")
     for problem in found.problems:
         out.print(f"cannot be done: {problem}")
     for sentence in found.unanswered:
@@ -140,6 +150,7 @@ def _offer_dry_run(found: Findings, procedure: str, bench_name: str | None) -> N
     if found.problems or found.unanswered:
         return
     on = f" --bench {bench_name}" if bench_name else ""
+    on += "".join(f" --devices {folder}" for folder in devices_given.get())
     printing.console().print(
         f"no mistakes found; try it in seconds with: bench run {procedure}{on} --dry-run"
     )

@@ -58,20 +58,25 @@ def compare(
 
     printing.check_target(json)
     request = Request(sources, runs, bench, None, g, out, skip_bad_rows)
-    snapshots = [snapshot for name in sources for snapshot in _snapshots(name, request)]
+    taken: list[dict[str, str]] = []
+    snapshots = [snapshot for name in sources for snapshot in _snapshots(name, request, taken, json)]
     if date:
         snapshots = _dated(snapshots, date)
     result = comparison.compare(snapshots)
     on = printing.console(json=json)
+    written = {**result.to_json(), "bench": taken}
     _print(result, on)
     if out is not None:
-        _write(out, result, on)
-    printing.write_json([result.to_json()], json)
+        _write(out, result, written, on)
+    printing.write_json([written], json)
     return 1 if strict and result.changed else 0
 
 
-def _snapshots(name: str, request: Request) -> list[Snapshot]:
-    """Return the calibration of a run or readings file, or those in a result of `calibrate --json`."""
+def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: str | None) -> list[Snapshot]:
+    """Return the calibration of a run or readings file, or those in a result of `calibrate --json`.
+
+    Which bench file is taken for readings is said, and added to `taken`.
+    """
     from bench.analysis.history.comparison import Snapshot
     from bench.api.calibration import calibration_of
     from bench.api.source import load_sources
@@ -81,6 +86,8 @@ def _snapshots(name: str, request: Request) -> list[Snapshot]:
     if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
         return _from_json(path)
     (source,) = load_sources(replace(request, sources=[name]))
+    printing.bench_file(source.taken, json, name)
+    taken.append({"source": name, **source.taken.to_dict()})
     result = calibration_of(source).calibration
     return [
         Snapshot(
@@ -222,13 +229,13 @@ def _drift_table(drift: Drift) -> Table:
     return table
 
 
-def _write(folder: Path, result: Comparison, out: Console) -> None:
+def _write(folder: Path, result: Comparison, written: dict[str, Any], out: Console) -> None:
     from bench.base.whole import to_text, write_whole
     from bench.report.history import history_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     for what, name, text in (
-        ("result", "compare.json", to_text(result.to_json())),
+        ("result", "compare.json", to_text(written)),
         ("figure", "compare.svg", history_figure(result)),
     ):
         write_whole(folder / name, text)

@@ -67,6 +67,8 @@ def compensate(
 
     printing.check_target(json)
     loaded = load_sources(Request(sources, runs, bench, None, g, out, skip_bad_rows))
+    on = printing.console(json=json)
+    printing.bench_files(loaded, json)
     first, names = loaded[0], [source.name for source in loaded]
     strangers = [source.name for source in loaded if source.g_m_s2 != first.g_m_s2]
     if strangers:
@@ -83,10 +85,10 @@ def compensate(
         "table": table_json(table),
         "verification": [{"temperature_c": t, **check.to_json()} for t, check in checks],
         "sources": names,
+        "bench": first.taken.to_dict(),
         "simulated": any(source.simulated for source in loaded),
     }
     files = _write(first, model, table, result)
-    on = printing.console(json=json)
     _print(model, table, names, on)
     for t, check in checks:
         on.print(verdict_line(f"verification at {t:.1f} °C", check), style="bold")

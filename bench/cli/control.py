@@ -15,7 +15,9 @@ from bench.cli.options import RUNS, RunArgument, RunsOption, app
 @app.command(epilog='Example: bench control unit-17 skip "the cable came loose"')
 def control(
     run: RunArgument,
-    wish: Annotated[str, typer.Argument(help="pause, continue, redo (the point), redo-pass, skip, abort.")],
+    wish: Annotated[
+        str, typer.Argument(help="pause, continue, redo (the point), redo-pass, remount, skip, abort.")
+    ],
     reason: Annotated[str, typer.Argument(help="Why; a skip needs it.")] = "",
     runs: RunsOption = RUNS,
 ) -> int:

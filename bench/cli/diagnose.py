@@ -91,15 +91,17 @@ def diagnosed(
     printing.check_target(target)
     check_places(request)
     alone = together or len(request.sources) == 1
+    out = printing.console(json=target)
+    loaded = load_sources(request)
+    printing.bench_files(loaded, target)
     if alone:
-        body = body_of(load_sources(request))
+        body = body_of(loaded)
         with progress.shown():
             results = [examined(body, accept_first=accept_first, report=report is not False)]
     else:
         with progress.shown():
             results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
     printing.write_json([one.to_dict() for one in results], target)
-    out = printing.console(json=target)
     if alone:
         print_one(results[0], out)
     else:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import RUNS, RunArgument, RunsOption, app
 
@@ -19,7 +20,9 @@ def export(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the readings of a run as a readings file."""
+    from bench.api.origin import SUFFIX, is_told
     from bench.api.source import Request, load_sources
+    from bench.base.whole import write_whole
     from bench.readings.csv import format_csv
 
     (source,) = load_sources(Request([run], runs))
@@ -27,6 +30,12 @@ def export(
     if csv == "-":
         sys.stdout.write(text)
     else:
-        Path(csv).write_text(text, encoding="utf-8", newline="")
+        beside = Path(csv + SUFFIX)
+        if beside.exists() and not is_told(beside):
+            raise Refused(f"{beside}: is a file of something else; export under another name")
+        write_whole(Path(csv), text)
         printing.console().print(f"{len(source.readings)} readings written to {csv}")
+        if source.origin is not None:
+            write_whole(beside, source.origin.text_beside(Path(csv), text.encode()))
+            printing.written("where they come from", beside)
     return 0

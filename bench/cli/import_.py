@@ -20,17 +20,22 @@ def import_(
     runs: RunsOption = RUNS,
 ) -> int:
     """Make a run of a readings file that was measured elsewhere."""
+    from bench.api.origin import SUFFIX, origin_beside
     from bench.api.provenance import versions
-    from bench.api.source import bench_path
-    from bench.files.bench.file import load_bench
+    from bench.api.taken import bench_of
     from bench.readings.csv import read_csv
     from bench.run.folder import BENCH, IMPORTED, Run, checked_name
     from bench.run.manifest import Manifest
     from bench.run.record import Record
     from drivers.clock import utc_now
 
-    path = bench_path(bench)
-    readings = read_csv(file, load_bench(path).installation_models())
+    told = origin_beside(file)
+    taken, notes = bench_of(str(file), None, told, bench)
+    on = printing.console()
+    printing.bench_file(taken, None)
+    printing.notes_on(on, notes)
+    path = Path(taken.where)
+    readings = read_csv(file, taken.file.installation_models())
     run = Run(runs / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
     manifest: Manifest = {
         "name": run.name,
@@ -38,11 +43,16 @@ def import_(
         "imported": str(file),
         "readings": len(readings),
         "bench": str(path),
+        "bench_why": taken.why,
         "versions": versions(),
     }
+    if told.origin is not None:
+        manifest["dry_run"] = told.origin.simulated
     inputs = {IMPORTED: file.read_bytes(), BENCH: path.read_bytes()}
+    if told.origin is not None:
+        inputs[IMPORTED + SUFFIX] = file.with_name(file.name + SUFFIX).read_bytes()
     record = Record.create(run.folder, manifest, inputs, utc_now)
     record.append("imported", 0.0, file=str(file), readings=len(readings))
     record.close()
-    printing.console().print(f"{len(readings)} readings imported as run {run.name} in {run.folder}")
+    on.print(f"{len(readings)} readings imported as run {run.name} in {run.folder}")
     return 0

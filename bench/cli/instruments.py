@@ -24,11 +24,46 @@ def instruments(
     discover: Annotated[
         bool, typer.Option("--discover", help="List what the interfaces offer; address no instrument.")
     ] = False,
+    commission: Annotated[
+        bool,
+        typer.Option(
+            "--commission", help="Go through a first evening with the hardware, asked step by step."
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="With --commission: folder for page and wire log (default: a new one).",
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="With --commission: the simulated bench and a scripted person.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Random numbers of a dry run.", min=0)] = 1,
     json: JsonOption = None,
     wire_log: WireLogOption = None,
 ) -> int:
     """Open every instrument of a bench at once: identity, self-test, a reading, and all that is wrong."""
+    if commission:
+        from bench.cli.commissioning import commission_bench
+
+        if discover or wire_log is not None:
+            raise Refused("--commission goes without --discover and --wire-log: its folder holds a wire log")
+        return commission_bench(_named(bench), out, json, dry_run=dry_run, seed=seed)
+    if dry_run or out is not None:
+        raise Refused("--dry-run and --out go with --commission")
     return _offers(json) if discover else look(bench, json, wire_log)
+
+
+def _named(bench: str | None) -> str | None:
+    """Return the bench file that was named, None for that of the environment. Raises `Refused` without any."""
+    if not (bench or os.environ.get("BENCH_FILE")):
+        raise Refused(
+            "say which bench: --bench FILE (or set BENCH_FILE); --discover lists what the interfaces offer"
+        )
+    return bench
 
 
 def look(bench: str | None, target: str | None = None, wire_log: Path | None = None) -> int:
@@ -37,16 +72,12 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
     from bench.api.instruments import look_at
-    from bench.api.source import bench_path
+    from bench.api.taken import bench_path
     from bench.files.bench.file import load_bench
     from bench.run.signals import Interrupts
     from drivers.wire.log import logged_wire
 
-    if not (bench or os.environ.get("BENCH_FILE")):
-        raise Refused(
-            "say which bench: --bench FILE (or set BENCH_FILE); --discover lists what the interfaces offer"
-        )
-    file = load_bench(bench_path(bench))
+    file = load_bench(bench_path(_named(bench)))
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         rows = look_at(file, wire, interrupts.haste)
     failures = [failure for row in rows for failure in row.failures]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextvars import ContextVar, Token
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -12,6 +13,9 @@ from typer.core import TyperCommand, TyperOption
 from bench.cli import completing
 from bench.cli.commands import Commands
 from bench.devices import FOLDERS
+
+devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
+"""The folders that `--devices` names, as they were typed."""
 
 
 def with_devices(command: Any) -> Any:
@@ -51,10 +55,12 @@ def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
     if folders:
         before = os.environ.get(FOLDERS)
         os.environ[FOLDERS] = os.pathsep.join([*folders, *([before] if before else [])])
-        ctx.call_on_close(lambda: _restore(before))
+        typed = devices_given.set(tuple(folders))
+        ctx.call_on_close(lambda: _restore(before, typed))
 
 
-def _restore(before: str | None) -> None:
+def _restore(before: str | None, typed: Token[tuple[str, ...]]) -> None:
+    devices_given.reset(typed)
     os.environ.pop(FOLDERS, None)
     if before is not None:
         os.environ[FOLDERS] = before

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from bench.analysis.planning.points import Points
     from bench.api.points import PaperPoints
+    from bench.api.taken import BenchTaken
     from bench.files.bench.file import BenchFile
 
 MOST_ANGLES: Final = 72
@@ -88,12 +89,12 @@ def plan_points(
     from bench.analysis.planning.points import Points, Sites, Stand, best_within, cheapest
     from bench.analysis.planning.settings import Cost
     from bench.api import points as api
-    from bench.api.source import bench_path
-    from bench.files.bench.file import load_bench
+    from bench.api.taken import find_bench_file
     from bench.model import ForwardModel
     from bench.readings.table import VERIFICATION
 
-    file = load_bench(bench_path(bench))
+    taken = find_bench_file(bench)
+    file = taken.file
     sizes = {name: d.u for name, d in file.stand_distributions().items()}
     stand = Stand(ForwardModel(file.installation_models()), file.simulated_block(), sizes)
     verified = verify and VERIFICATION in stand.model.installations
@@ -113,8 +114,9 @@ def plan_points(
     paper = api.paper_points(stand)
     if out is not None:
         api.write_procedure(out, planned, times, file, verified=verified, asked=asked)
+    printing.bench_file(taken, json)
     _print(planned, paper, file, out, printing.console(json=json), asked=asked, time=time)
-    printing.write_json([_to_json(planned, paper, file, out, asked=asked)], json)
+    printing.write_json([_to_json(planned, paper, taken, out, asked=asked)], json)
     return 0 if planned.reached or not asked else 1
 
 
@@ -172,12 +174,13 @@ def _goal_table(points: Points, paper: PaperPoints, *, asked: bool) -> Table:
 
 
 def _to_json(
-    points: Points, paper: PaperPoints, bench: BenchFile, procedure: Path | None, *, asked: bool
+    points: Points, paper: PaperPoints, taken: BenchTaken, procedure: Path | None, *, asked: bool
 ) -> dict[str, Any]:
     from bench.api.points import worst_by_name
 
     return {
-        "bench": bench.name,
+        "bench": taken.file.name,
+        "bench_file": taken.to_dict(),
         "settings": points.count,
         "mountings": [str(mount) for mount in points.visits],
         "time_s": points.time_s,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bench.analysis.calibration import Noise
     from bench.api.calibration import CalibrationResult, VerificationResult
     from bench.api.source import Source
+    from bench.api.taken import BenchTaken
 
 
 def console(*, json: str | None = None) -> Console:
@@ -99,17 +100,46 @@ def write_beside(path: Path, text: str, *, asked: bool) -> bool:
     return True
 
 
-def write_result(source: Source, command: str, result: dict[str, Any]) -> Path | None:
-    """Write the result of a command where what is derived from the source belongs; None where it cannot be."""
+def write_result(
+    source: Source, command: str, result: dict[str, Any], *, what_if: bool = False
+) -> Path | None:
+    """Write the result of a command where what is derived from the source belongs; None where it cannot be.
+
+    A result of other options than the run's own (`what_if`) is written beside the run's own, never over it.
+    """
     from bench.base.whole import to_text
 
-    file = source.output(command, ".json")
+    file = source.output(command, ".json", what_if=what_if)
     return file if write_beside(file, to_text(result), asked=source.request.out is not None) else None
 
 
 def written(what: str, file: Path, out: Console | None = None) -> None:
-    """Say where a file was written."""
-    (out or console()).print(f"{what}: {file}")
+    """Say where a file was written; of a what-if, that the run's own stands as it was."""
+    from bench.api.source import WHAT_IF
+
+    of = "" if file.parent.name != WHAT_IF else " of this what-if (the run's own stays)"
+    (out or console()).print(f"{what}{of}: {file}")
+
+
+# --- what a result is made with ---------------------------------------------------------------------
+
+
+def bench_file(taken: BenchTaken, json: str | None, of: str = "") -> None:
+    """Say first which bench file is taken, and why that one; `of` which readings, where there are several.
+
+    Where the result goes to standard output (`json` is "-"), it says it by itself, and errors stay alone.
+    """
+    if json != "-":
+        console().print(f"bench file{of and f' of {of}'}: {taken.words} ({taken.where})")
+
+
+def bench_files(sources: Sequence[Source], json: str | None) -> None:
+    """Say first which bench file is taken for each source, in one line where it is one for all."""
+    if len({source.taken.where for source in sources}) == 1:
+        bench_file(sources[0].taken, json)
+        return
+    for source in sources:
+        bench_file(source.taken, json, source.name)
 
 
 # --- results that several commands print ------------------------------------------------------------
@@ -181,7 +211,7 @@ def report(result: CalibrationResult, out: Console) -> VerificationResult | None
     from bench.base.whole import write_whole
 
     page, verdict = report_page(result)
-    file = result.source.output("report", ".html")
+    file = result.source.output("report", ".html", what_if=result.source.what_if)
     file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, page)
     written("report", file, out)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import signal
 import sys
-from types import FrameType
-from typing import Final
 
-_STOPPED: Final = 2
+TYPE_CHECKING = False  # as in `bench`
+if TYPE_CHECKING:
+    from types import FrameType
+
+_STOPPED = 2
 
 
 def main() -> None:

@@ -35,15 +35,24 @@ def report(
 ) -> int:
     """Write the report of a run: one HTML page."""
     from bench.api.calibration import calibration_of
+    from bench.api.errors import Refused
     from bench.api.source import Request, load_sources
 
     printing.check_target(json)
     (loaded,) = load_sources(Request([source], runs, bench, model, g, out, skip_bad_rows))
-    result = calibration_of(loaded)
     on = printing.console(json=json)
-    verdict = printing.report(result, on)
+    printing.bench_files([loaded], json)
+    result = calibration_of(loaded)
+    try:
+        verdict = printing.report(result, on)
+    except OSError as error:
+        raise Refused(
+            f"{error.filename}: the page cannot be written ({error.strerror}); choose another place with --out DIR"
+        ) from error
     if verdict is not None:
         on.print(verdict.verdict(), style="bold")
-    page = str(loaded.output("report", ".html"))
-    printing.write_json([{"report": page, "verification": verdict and verdict.to_dict()}], json)
+    page = str(loaded.output("report", ".html", what_if=loaded.what_if))
+    bench_taken = loaded.taken.to_dict()
+    written = {"report": page, "bench": bench_taken, "verification": verdict and verdict.to_dict()}
+    printing.write_json([written], json)
     return 0 if verdict is None or verdict.passed else 1

@@ -77,6 +77,9 @@ def require(
     printing.check_target(json)
     with progress.shown():
         from bench.api.requirement import requirements
+        from bench.api.taken import find_bench_file
+
+        taken = find_bench_file(bench)
 
         answer = requirements(
             accuracy,
@@ -89,8 +92,9 @@ def require(
             costs=tuple(cost or ()),
             estimator=estimator,
             procedure=procedure,
-            bench=bench,
+            bench=taken,
         )
+    printing.bench_file(taken, json)
     _print(answer, printing.console(json=json))
     printing.write_json([answer.to_json()], json)
     asked = answer.requirement
@@ -105,7 +109,7 @@ def _print(answer: RequirementAnswer, out: Console) -> None:
         what += f" up to {answer.up_to_g:g} g"
     out.print(
         f"{what}: {asked.k:g} u within {_micro(asked.accuracy)} µ{answer.unit}, by {asked.estimator} from "
-        f"procedure {answer.plan.name} on {answer.bench.name}"
+        f"procedure {answer.plan.name} on {answer.taken.file.name}"
     )
     out.print(_limit_table(answer))
     if answer.unbalanced:

@@ -76,10 +76,13 @@ def run(
             unit=unit,
             model=model,
         )
-        printing.notes_aside(new.notes)
+        out = printing.console(json=json)
+        if json != "-":
+            out.print(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}")
+        printing.notes_on(out, new.notes)
         with logged_wire(wire_log) as wire, Interrupts() as interrupts:
             record = new.record(interrupts.shield)
-            carry_out(Run(new.folder), record, None, wire, printing.console(json=json), interrupts)
+            carry_out(Run(new.folder), record, None, wire, out, interrupts)
         done = Run(new.folder)
         return done, conclude(done, json)
 

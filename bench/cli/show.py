@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -19,33 +20,61 @@ if TYPE_CHECKING:
 def show(
     run: RunArgument,
     verify: Annotated[bool, typer.Option("--verify", help="Check the record for changed lines.")] = False,
+    head: Annotated[
+        str | None, typer.Option("--head", metavar="SHA256", help="Head of the chain, as noted elsewhere.")
+    ] = None,
+    key: Annotated[
+        Path | None,
+        typer.Option("--key", metavar="PUB", help="Public key that the seal must be signed with."),
+    ] = None,
+    authority: Annotated[
+        Path | None,
+        typer.Option("--authority", metavar="PEM", help="Certificate that its time stamp must stand on."),
+    ] = None,
     runs: RunsOption = RUNS,
     json: JsonOption = None,
 ) -> int:
     """Show what a run holds: inputs, events, readings."""
+    from bench.api.provenance import record_head
     from bench.api.records import run_summary
+    from bench.api.sealing import proof_of
     from bench.run.folder import find_run
 
     found = find_run(run, runs)
-    problems = list(found.history.problems)
+    verify = verify or any(given is not None for given in (head, key, authority))
+    problems, told = list(found.history.problems), []
+    if verify and not problems:
+        proof = proof_of(found, head, key, authority)
+        problems, told = list(proof.problems), list(proof.told)
     summary = run_summary(found)
-    printing.write_json([{**summary, "manifest": found.manifest, "problems": problems}], json)
+    record = {**record_head(found), "told": told}
+    printing.write_json(
+        [{**summary, "manifest": found.manifest, "record": record, "problems": problems}], json
+    )
     if json == "-":
         return 1 if problems else 0
     out = printing.console()
-    for key, value in {**summary, **found.manifest}.items():
+    for name, value in {**summary, **found.manifest}.items():
         if value not in ("", None):
-            out.print(f"{key.replace('_', ' ')}: {_text(value)}")
+            out.print(f"{name.replace('_', ' ')}: {_text(value)}")
     if verify:
-        events = len(found.history.events)
-        out.print(
-            f"record: {events} events, " + ("; ".join(problems) if problems else "chain of hashes whole")
-        )
-        if found.history.torn:
-            out.print("record: the last line is half written; 'bench resume' drops it")
+        _print_proof(found, told, problems, out)
     else:
         _print_events(found, out)
     return 1 if problems else 0
+
+
+def _print_proof(run: Run, told: list[str], problems: list[str], out: Console) -> None:
+    """Print what the record proves, and what not."""
+    events = len(run.history.events)
+    wrong = run.history.problems
+    out.print(f"record: {events} events, {'; '.join(wrong) if wrong else 'chain of hashes whole'}")
+    if run.history.torn:
+        out.print("record: the last line is half written; 'bench resume' drops it")
+    for line in told:
+        out.print(line)
+    for problem in problems if not wrong else ():
+        out.print(problem, style="bold")
 
 
 def _text(value: object) -> str:

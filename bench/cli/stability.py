@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from bench.analysis.stability.allan import AllanCurve
     from bench.analysis.stability.noise_terms import NoiseTerms
     from bench.analysis.stability.static_record import StaticRecord
+    from bench.api.taken import BenchTaken
     from bench.files.bench.file import BenchFile
 
 AXES = "xyz"
@@ -52,7 +53,11 @@ def stability(
     printing.check_target(json)
     if size is not None and not (math.isfinite(size) and size > 0):
         raise Refused(f"--size {size}: a size is a positive number in the unit of the signals")
-    file = _bench_of(record, runs, bench)
+    on = printing.console(json=json)
+    taken, notes = _bench_of(record, runs, bench)
+    printing.bench_file(taken, json)
+    printing.notes_on(on, notes)
+    file = taken.file
     static, recorded_s = _record(record, runs, file)
     integration_s = integration or recorded_s or static.interval_s
     if not 0 < integration_s <= static.interval_s:
@@ -62,8 +67,7 @@ def stability(
         )
     with progress.shown():
         found = _findings(static, file, size, integration_s)
-    result = _json(static, found)
-    on = printing.console(json=json)
+    result = {**_json(static, found), "bench": taken.to_dict()}
     _print(static, found, file, on)
     files = _write(_stem(record, runs, out), static, found, result, asked=out is not None)
     for what, written in files.items():
@@ -83,16 +87,16 @@ class _Findings:
     no_advice: str
 
 
-def _bench_of(record: str, runs: Path, bench: str | None) -> BenchFile:
-    """Return the bench file asked for, else that of the run, else the usual one."""
-    from bench.api.source import bench_path
-    from bench.files.bench.file import load_bench, load_recorded_bench
-    from bench.run.folder import BENCH
+def _bench_of(record: str, runs: Path, bench: str | None) -> tuple[BenchTaken, tuple[str, ...]]:
+    """Return the bench file asked for, else that of the run or told beside the record, else the usual one."""
+    from bench.api.origin import Told, origin_beside
+    from bench.api.taken import bench_of
+    from bench.run.folder import BENCH, Run
 
-    own = runs / record / BENCH
-    if bench is None and not Path(record).is_file() and own.is_file():
-        return load_recorded_bench(own)
-    return load_bench(bench_path(bench))
+    if Path(record).is_file():
+        return bench_of(record, None, origin_beside(Path(record)), bench)
+    run = next((Run(folder) for folder in (runs / record, Path(record)) if (folder / BENCH).is_file()), None)
+    return bench_of(record, run, Told(), bench)
 
 
 def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, float | None]:

@@ -49,11 +49,14 @@ def verify(
     by_rule = rule_name(rule or "simple")
     check_limit(limit)
     results = []
-    for source in load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows)):
+    loaded = load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows))
+    printing.bench_files(loaded, json)
+    for source in loaded:
         results.append(verification_of(source, coefficients, limit, by_rule))
         printing.notes_aside(results[-1].warnings)
     for result in results:
-        file = printing.write_result(result.source, "verify", result.to_dict())
+        what_if = result.source.what_if or coefficients is not None or result.otherwise
+        file = printing.write_result(result.source, "verify", result.to_dict(), what_if=what_if)
         if json == "-":
             printing.notes_aside(result.notes)
         else:

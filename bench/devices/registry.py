@@ -8,6 +8,7 @@ one; they import one another relatively (`from .facts import …`).
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.metadata
 import importlib.util
@@ -213,8 +214,19 @@ def _validated(written: dict[str, Any], role: Role, recorded: bool) -> DeviceSec
     if recorded and unknown_drivers([written]):
         return OF_ROLE[role].model_validate(written)
     if known.get(driver) not in known.of(role):
-        _refuse_driver(written, known.why_not(driver), tuple(device.name for device in known.of(role)))
+        names = tuple(device.name for device in known.of(role))
+        _refuse_driver(written, known.why_not(driver) or _strange(driver, names), names)
     return known.adapter(role).validate_python(written)
+
+
+def _strange(driver: object, names: tuple[str, ...]) -> str | None:
+    """Return what to say of a name that is like none of those known: it may be a device of the user's own."""
+    if not isinstance(driver, str) or difflib.get_close_matches(driver, names, n=1, cutoff=0.5):
+        return None
+    return (
+        f"expected {', '.join(names[:-1])} or {names[-1]}, got '{driver}'; an instrument of your own is found in "
+        "the folder that --devices DIR or BENCH_DEVICES names"
+    )
 
 
 def _refuse_driver(written: dict[str, Any], reason: str | None, names: tuple[str, ...]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
@@ -27,18 +27,26 @@ class VoltmeterKind:
 
     `over_range` is the part of a range up to which it reads. `accuracy` gives for each range the limits of error
     of DC volts within 90 days at 23 ± 5 °C, parts of the reading and of the range; `linearity` the limits of its
-    converter's integral nonlinearity alike.
+    converter's integral nonlinearity alike; `resolution`, where it is known, from an integration (NPLC) on the
+    part of the range to which it resolves.
     """
 
     limits: VoltmeterLimits
     over_range: float
     accuracy: Mapping[float, tuple[float, float]]
     linearity: tuple[float, float]
+    resolution: Mapping[float, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, facts: ModuleType) -> VoltmeterKind:
         """Return the kind that the facts of a voltmeter describe."""
-        return cls(VoltmeterLimits.of(facts), facts.OVER_RANGE, facts.ACCURACY_90_DAYS, facts.LINEARITY)
+        return cls(
+            VoltmeterLimits.of(facts),
+            facts.OVER_RANGE,
+            facts.ACCURACY_90_DAYS,
+            facts.LINEARITY,
+            getattr(facts, "RESOLUTION", {}),
+        )
 
 
 class VoltmeterTruth(FileModel):

@@ -23,8 +23,8 @@ class Manifest(TypedDict, total=False):
     """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
 
     `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
-    `readings` that has, and nothing of a procedure. `devices` says where those drivers came from that are none
-    of the bench's own, and is left out where there are none.
+    `readings` that has, and nothing of a procedure. `bench_why` says why that bench file was taken. `devices` says
+    where those drivers came from that are none of the bench's own, and is left out where there are none.
     """
 
     format: int
@@ -37,6 +37,7 @@ class Manifest(TypedDict, total=False):
     operator: str
     procedure: str
     bench: str
+    bench_why: str
     plan_hash: str
     unit_under_test: UnitUnderTest
     versions: dict[str, str]

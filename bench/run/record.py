@@ -12,7 +12,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
@@ -137,6 +137,19 @@ class Record:
                 f"{self.folder}: another program has written into {EVENTS}; nothing more is recorded, and "
                 f"'bench show {self.folder.name} --verify' tells whether it is whole"
             )
+
+    def whereabouts(self) -> Path | None:
+        """Return the folder that the record stands in by now, as it may have been renamed; None if not found.
+
+        It is looked for by its file, where it was and among the runs beside it.
+        """
+        own = os.fstat(self._file.fileno())
+        with suppress(OSError):
+            for folder in (self.folder, *sorted(self.folder.parent.iterdir())):
+                with suppress(OSError):
+                    if os.path.samestat(own, (folder / EVENTS).stat()):
+                        return folder
+        return None
 
     def close(self) -> None:
         """Let the file go."""

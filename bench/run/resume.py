@@ -21,7 +21,8 @@ class Progress:
 
     `temperature_c` is the last one on record, `identities` those of the instruments; `remounts` gives the
     series that readings of a (series, installation) have since the block was taken off and mounted again in
-    the middle of it.
+    the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `gone_on` the steps at
+    which one was overruled.
     """
 
     done: set[int] = field(default_factory=set)
@@ -31,6 +32,8 @@ class Progress:
     temperature_c: float | None = None
     identities: dict[str, str] = field(default_factory=dict)
     remounts: dict[tuple[int, str], int] = field(default_factory=dict)
+    doubt: Event | None = None
+    gone_on: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, history: History) -> Progress:
@@ -44,6 +47,7 @@ class Progress:
             begun_s=dict(of.begun_s),
             identities=dict(of.identities),
             remounts=dict(of.remounts),
+            gone_on=set(of.gone_on),
         )
 
     def take(self, event: Event) -> None:
@@ -59,7 +63,14 @@ class Progress:
             case EventType.REMOUNTED:
                 place = (int(event.data["series"]), str(event.data["installation"]))
                 self.remounts[place] = int(event.data["now_series"])
+            case EventType.EARLY_SIGN:
+                if event.data.get("confident"):
+                    self.doubt = event
+            case EventType.WENT_ON:
+                self.doubt = None
+                self.gone_on.add(event.step)
             case EventType.REDO:
+                self.doubt = None
                 self.done.difference_update(event.steps)
                 self.skipped.difference_update(event.steps)
                 self.redone.update(event.steps)

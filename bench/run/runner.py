@@ -16,8 +16,10 @@ from typing import Any, Final
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
 from bench.run.chamber_watch import SLOW_AFTER_S
+from bench.run.clock_watch import ClockWatch
 from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
+from bench.run.halt import how_to_go_on, mounting_before, step_in_doubt
 from bench.run.manifest import RecordError
 from bench.run.prompts import agree, confirm
 from bench.run.record import Record
@@ -59,8 +61,10 @@ class Runner:
 
     `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
     resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
-    person's, not the bench's. `least_samples` is how few samples every voltmeter takes. After `hold_signals` no
-    signal raises anything any more. A chamber that hardly moves is told of after `slow_chamber_s`.
+    person's, not the bench's. `least_samples` is how few samples every voltmeter takes. `decider` is asked how to
+    go on after an early sign, where that is somebody else than `person`. After `hold_signals` no signal raises
+    anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time that jumps
+    where `clocks` see to it.
     """
 
     plan: Plan
@@ -77,7 +81,9 @@ class Runner:
     watch: Watch = lambda reading: ()
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
+    decider: Person | None = None
     slow_chamber_s: float = SLOW_AFTER_S
+    clocks: ClockWatch | None = None
     on_settling: Callable[[Settling], None] = lambda state: None
     hold_signals: Callable[[], None] = lambda: None
     state: RunState = RunState.READY
@@ -137,14 +143,24 @@ class Runner:
 
     def _carry_out(self, start: int) -> None:
         index = start
-        while index < len(self.plan.steps):
+        while index < len(self.plan.steps) or self.progress.doubt is not None:
             try:
+                self._ask_in_doubt()
                 self._hear()
+                if index == len(self.plan.steps):
+                    continue
                 if not self.progress.settled(index):
                     self._step(index)
                 index += 1
             except OperatorWish as wish:
                 index = self._obey(wish.control, index)
+
+    def _ask_in_doubt(self) -> None:
+        """Ask how to go on where an early sign stopped the run; raises `OperatorWish` for the answer."""
+        doubt = self.progress.doubt
+        if doubt is not None:
+            reason = how_to_go_on(self.decider or self.person, doubt)
+            self._emit(EventType.WENT_ON, step=doubt.step, causes=doubt.data["causes"], reason=reason)
 
     # --- the life of a run ---------------------------------------------------------------------------
 
@@ -184,6 +200,8 @@ class Runner:
         for observer in self.observers:
             with suppress(OSError):  # a terminal that was closed shows nothing more; the run goes on
                 observer(event)
+        if self.clocks is not None and (ahead_s := self.clocks.gap_s()):
+            self._emit(EventType.CLOCK_JUMPED, ahead_s=round(ahead_s, 1))
 
     def _now_s(self) -> float:
         return self.clock.now_s() - self._zero_s
@@ -224,6 +242,10 @@ class Runner:
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
+        self._emit_remounted(step)
+
+    def _emit_remounted(self, step: Mount) -> None:
+        """Record that the block was mounted again: its further readings are another visit."""
         highest = max(s.series for s in self.plan.steps if isinstance(s, Mount))
         visit = highest + 1 + len(self.progress.remounts)
         self._emit(EventType.REMOUNTED, installation=step.installation, series=step.series, now_series=visit)
@@ -258,8 +280,10 @@ class Runner:
             case Wish.CONTINUE:
                 self._change(EventType.RUN_CONTINUED)
                 return index
-            case Wish.REPEAT_POINT | Wish.REPEAT_PASS:
+            case Wish.REPEAT_POINT | Wish.REPEAT_PASS | Wish.MOUNT_AGAIN:
                 return self._redo(control, index)
+            case Wish.SKIP if self.progress.doubt is not None:
+                return self._refuse(control, index, "the reading in doubt is to be settled first")
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
                 self._emit(EventType.SKIPPED, first=index, last=last, reason=control.reason)
@@ -294,7 +318,7 @@ class Runner:
         prompt = Prompt(
             id=f"pause@{self._now_s():.3f}",
             kind=PromptKind.CONFIRM,
-            text="Paused. Enter goes on; or :redo, :redo-pass, :skip REASON, :abort",
+            text="Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort",
             default="yes",
             action={"do": "wait"},
         )
@@ -306,13 +330,27 @@ class Runner:
 
     def _redo(self, control: RunControl, index: int) -> int:
         """Go back to the turn of the last point, or to the first turn of its pass."""
-        turn = turn_before(self.plan, index)
-        if turn == index:
+        doubt = self.progress.doubt
+        after = index if doubt is None else step_in_doubt(self.plan, doubt)
+        turn = turn_before(self.plan, after)
+        if turn == after:
             return self._refuse(control, index, "no point was measured since the block was mounted")
-        if control.wish is Wish.REPEAT_PASS:
+        if control.wish is not Wish.REPEAT_POINT:
             turn = first_of_pass(self.plan, turn)
+        found = mounting_before(self.plan, turn) if control.wish is Wish.MOUNT_AGAIN else None
+        if found is not None and not self._read_between(found[0], turn):
+            turn, found = found[0], None  # nothing else was read on this mounting: it begins again
         self._emit(EventType.REDO, first=turn, last=index - 1, wish=control.wish.value)
+        if found is not None:
+            self._insist(partial(self._workbench.mount, found[1]))
+            self._emit_remounted(found[1])
         return turn
+
+    def _read_between(self, first: int, last: int) -> bool:
+        """Whether a reading of these steps stands."""
+        return any(
+            isinstance(self.plan.steps[i], Read) and i in self.progress.done for i in range(first, last)
+        )
 
     # --- steps ---------------------------------------------------------------------------------------
 

@@ -58,13 +58,14 @@ class Wish(StrEnum):
     CONTINUE = "continue"
     REPEAT_POINT = "redo"
     REPEAT_PASS = "redo-pass"
+    MOUNT_AGAIN = "remount"
     SKIP = "skip"
     ABORT = "abort"
 
 
 HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
-    RunState.RUNNING: frozenset({Wish.PAUSE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
-    RunState.PAUSED: frozenset({Wish.CONTINUE, Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.SKIP, Wish.ABORT}),
+    RunState.RUNNING: frozenset(Wish) - {Wish.CONTINUE},
+    RunState.PAUSED: frozenset(Wish) - {Wish.PAUSE},
 }
 """Which wishes are heard in which state."""
 

@@ -216,13 +216,22 @@ def sentence(event: Event) -> str:
     data = event.data
     match event.type:
         case EventType.EARLY_SIGN:
-            return f"look: {data['sentence']}"
+            return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
+        case EventType.WENT_ON:
+            return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
         case EventType.SAME_SERIAL:
             return f"look: {data['words']}"
         case EventType.STEP_FAILED:
             return f"failed, tried again: {data['error']}"
         case EventType.WISH_REFUSED:
             return f"{data['wish']} is not possible: {data['why']}"
+        case EventType.CLOCK_JUMPED:
+            ahead_s = data["ahead_s"]
+            way = "ahead" if ahead_s > 0 else "back"
+            return (
+                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time was set; "
+                "what drifts went on, so take the last point again where that matters"
+            )
         case EventType.CHAMBER_SLOW:
             return (
                 f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Final
 
 from bench.run.control import SIGN
@@ -17,6 +17,7 @@ MEANINGS: Final = {
     Wish.CONTINUE: "go on after a pause",
     Wish.REPEAT_POINT: "take the last point again; its last reading counts",
     Wish.REPEAT_PASS: "take the last pass again from its first point",
+    Wish.MOUNT_AGAIN: "mount the block again, then take the last pass again",
     Wish.SKIP: "leave this point out, with the reason in the record",
     Wish.ABORT: "end the run for good; what was read is kept ('Ctrl-C' stops it so that it can be resumed)",
 }
@@ -38,7 +39,8 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return lines that say what can be typed."""
+    """Return lines that say what can be typed; `wishes` may have their meanings where these are not a run's."""
+    meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind] + ", ".join(prompt.choices)
     if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
         answer = "yes, or no"
@@ -51,5 +53,5 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
         lines.append(f"  Enter alone: {prompt.default}")
     for wish in wishes:
         typed = f"{SIGN}{wish.value}" + (" REASON" if wish is Wish.SKIP else "")
-        lines.append(f"  {typed}: {MEANINGS[wish]}")
+        lines.append(f"  {typed}: {meanings[wish]}")
     return "\n".join(lines)

@@ -54,6 +54,13 @@ computed until it is mended or left out with `--skip-bad-rows`.
 A text in an unknown column, or its name, that begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end)
 is exported with an apostrophe in front, so that a spreadsheet keeps it as text; control characters are exported
 as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file undoes both. Numbers stay numbers.
+
+`bench export RUN --csv NAME.csv` writes `NAME.csv.json` beside it: whether the instruments were simulated, the
+run, the unit, the bench file with its SHA-256, the identities of the instruments, and the SHA-256 of the
+readings file. As long as this is the readings file's, an analysis of the file is as marked as one of the run, and
+takes the bench file that the run had (its copy in the run's folder, or where it was) unless `--bench` or
+`BENCH_FILE` names another. A readings file that was changed is told, and nothing is taken over. Which bench
+file was taken, and why, stands in the first line that an analysis prints and in its result (`bench`).
 """
 
 

@@ -43,7 +43,9 @@ UNDER_RANGE: Final = 0.1
 """Below this part of its range autorange takes the next lower one."""
 NPLC_BY_RESOLUTION: Final = {3e-7: 100.0, 1e-6: 10.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02}
 """Integration in power-line cycles for each resolution, a fraction of the range."""
-NPLC: Final = tuple(sorted(NPLC_BY_RESOLUTION.values()))
+RESOLUTION: Final = {nplc: part for part, nplc in NPLC_BY_RESOLUTION.items()}
+"""The same the other way round: from an integration on, the resolution."""
+NPLC: Final = tuple(sorted(RESOLUTION))
 MEMORY_READINGS: Final = 512
 LEAST_SAMPLES: Final = 1
 

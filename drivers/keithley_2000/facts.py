@@ -52,7 +52,7 @@ NPLC: Final = (0.01, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 LEAST_SAMPLES: Final = 2
 MEMORY_READINGS: Final = 1024
 """The buffer holds 2 to 1024 readings."""
-DECIMALS_BY_NPLC: Final = {1.0: 1e-6, 0.1: 1e-5, 0.01: 1e-4}
+RESOLUTION: Final = {1.0: 1e-6, 0.1: 1e-5, 0.01: 1e-4}
 """Resolution, a fraction of the range, from an integration on: 6 1/2, 5 1/2, 4 1/2 digits."""
 
 SAMPLE_OVERHEAD_S: Final = 0.04

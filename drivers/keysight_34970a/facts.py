@@ -30,7 +30,8 @@ UNDER_RANGE: Final = line.UNDER_RANGE
 NPLC_BY_RESOLUTION: Final = {
     2.2e-7: 200.0, 3e-7: 100.0, 8e-7: 20.0, 1e-6: 10.0, 2.2e-6: 2.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02,
 }  # fmt: skip
-NPLC: Final = tuple(sorted(NPLC_BY_RESOLUTION.values()))
+RESOLUTION: Final = {nplc: part for part, nplc in NPLC_BY_RESOLUTION.items()}
+NPLC: Final = tuple(sorted(RESOLUTION))
 MEMORY_READINGS: Final = 50_000
 """Of all channels together."""
 LEAST_SAMPLES: Final = line.LEAST_SAMPLES

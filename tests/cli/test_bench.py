@@ -12,6 +12,7 @@ from bench.cli.app import main
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
 from bench.run.folder import Run
+from drivers.manual.head import ManualHead
 from sim.bench import SimulatedBench
 from sim.wires.session import WireFault
 from sim.world.clock import VirtualClock
@@ -44,6 +45,16 @@ def served(tmp_path, monkeypatch):
     model = ForwardModel(bench.installation_models())
     world = World(WorldSettings(bench.simulated_block(), model, {}, seed=1), VirtualClock())
     meters = {f"voltmeter.{c}": a_34401a(c, interface="gpib") for c in "xyz"}
+    move = ManualHead.move
+
+    def hand(head, target_rad, direction, key):
+        """Turn the world's head to what the person types, or leave it where it is."""
+        position = move(head, target_rad, direction, key)
+        if not Path("forgotten").exists():
+            world.turn(position.angle_rad, direction)
+        return position
+
+    monkeypatch.setattr(ManualHead, "move", hand)
     with SimulatedBench(world, meters) as simulated:
         write_bench_file(list(simulated.resources.values()))
         yield simulated
@@ -112,6 +123,35 @@ def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served,
     assert out.count("Is it untouched since?") == 5
     assert ":skip" not in out
     assert Run(Path("runs/run")).history.state == "aborted"
+
+
+def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point_again(served, capsys):
+    """Answers end at the question: status 2 with the cause; the resumed run asks it first."""
+    Path("forgotten").touch()
+    status, out, err = start(capsys)
+    assert status == 2
+    assert "the head was not turned: the signals are those of the point before, at 0°00′02″" in err
+    assert "nobody said how to go on" in err
+    assert "bench resume run" in err
+    Path("forgotten").unlink()
+    answers = "untouched\ngo on\n:skip it\n?\nredo point\n90 0 1\n"
+    status, out, _ = command(capsys, "resume", "run", answers=answers)
+    assert status == 0
+    assert "Answer one of redo point, redo pass, mount again, go on REASON, not 'go on'" in out
+    assert "skip is not possible: the reading in doubt is to be settled first" in out
+    run = Run(Path("runs/run"))
+    assert run.history.state == "finished"
+    assert np.degrees(run.readings().angle_rad) == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)
+    assert abs(run.readings().signal[1, 0]) > 2.0  # x is up only at the second try
+
+
+def test_a_person_may_go_on_in_spite_of_an_early_sign_and_says_why(served, capsys):
+    Path("forgotten").touch()
+    status, _, _ = start(capsys, answers=ANSWERS + "go on this head has no block on it\n")
+    assert status == 0
+    went_on = [e.data for e in Run(Path("runs/run")).history.events if e.type == "went_on"]
+    assert [data["reason"] for data in went_on] == ["this head has no block on it"]
+    assert "not turned" in went_on[0]["causes"][0]
 
 
 def test_a_bench_file_changed_since_is_told_and_asked_about(served, capsys):

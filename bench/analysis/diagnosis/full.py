@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ class FullDiagnosis:
     next_measurement: Proposal | None
     model: Path | None = None
     report: Path | None = None
+    bench: Mapping[str, str] | None = None
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
         """Return the ranking of the effect of this number; nothing where it was not ranked."""
@@ -55,6 +57,7 @@ class FullDiagnosis:
             "coefficients": {name: asdict(change) for name, change in shown.coefficients.items()},
             "ranking": [[rival.to_dict() for rival in one] for one in self.ranking],
             "source": self.source,
+            "bench": None if self.bench is None else dict(self.bench),
             "simulated": self.simulated,
             "skipped_rows": list(self.skipped_rows),
             "report": None if self.report is None else str(self.report),

@@ -16,8 +16,19 @@ from numpy.typing import NDArray
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import Block, Conditions, ForwardModel
-from bench.readings.mistaken import EXCHANGED, OPPOSITE_RAD, REVERSED, SLIPS_RAD, Wiring, reflected_rad
 from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judgement, NoiseSizes, poses
+from bench.run.watch.suppositions import (
+    CABLED,
+    CABLINGS,
+    FREE,
+    SAT_RIGHT,
+    UNLIKELY,
+    Elsewhere,
+    Kind,
+    Supposed,
+    head_elsewhere,
+    other_installation,
+)
 from drivers.angles import format_dms
 
 TIE: Final = 6.0
@@ -27,22 +38,15 @@ MOVED_RAD: Final = np.radians(1.0)
 CHANNEL_OFF_G: Final = 0.1
 """Prior 1 σ of how far a block slips, and of how far a single channel is off (in g)."""
 
+LARGE_RAD: Final = np.radians(0.25)
+LARGE_G: Final = 0.02
+"""A block that moved, a channel that is off by more: no effect of a block or a stand is as large."""
+
+FEW: Final = 4
+"""So many readings of a mounting tell how the block sits; later ones suppose no new orientation of it."""
+
 MOST_CANDIDATES: Final = 12
 """Earlier readings that are suspected at once; it bounds the time that a warning takes in a long run."""
-
-
-def _said(wiring: Wiring) -> str:
-    """Say what is wrong with the cables."""
-    match wiring.channels:
-        case (one,):
-            return f"channel {one} is reversed"
-        case one, other:
-            return f"channels {one} and {other} are swapped"
-    return f"the channels are exchanged in turn: {wiring.shown}"
-
-
-CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
 
 
 @dataclass
@@ -53,6 +57,9 @@ class Sighting:
     have moved, as variances. `taken`: the model has learnt from it; `poorly_known`: when it was taken the
     model could not yet have seen a mistake in it; `struck`: known to be wrong, or taken again.
     `poses` are as recorded, with the head's sense reversed, and in each of the other installations.
+    `sat_before` is the installation of the mounting before, `last_rad` where the head stood at the reading
+    before on this mounting, `pivot_rad` at the last that fitted, `next_rad` where it goes next, None where there
+    is none.
     """
 
     place: str
@@ -61,6 +68,11 @@ class Sighting:
     pose: ExpectedPose
     new_mount: bool
     loosened: Floats
+    reading_place: tuple[int, str, int, int] = (0, "", 0, 0)
+    sat_before: str | None = None
+    last_rad: float | None = None
+    pivot_rad: float | None = None
+    next_rad: float | None = None
     taken: bool = False
     poorly_known: bool = False
     struck: bool = False
@@ -82,11 +94,14 @@ class Suspect:
     """A supposition that explains a reading, and its cost.
 
     `earlier` is the reading that is at fault instead, `member` who in the replay left it out. `moved_rad`
-    with its uncertainty is set where the head or the block is supposed off by an angle.
+    with its uncertainty is set where the head or the block is supposed off by an angle. `stops` says that no
+    effect looks like it: a run is stopped for it.
     """
 
     text: str
+    kind: Kind
     cost: float
+    stops: bool = True
     earlier: int | None = None
     member: int = 0
     moved_rad: float | None = None
@@ -108,9 +123,14 @@ class Replay:
 
 @dataclass(frozen=True)
 class Inquiry:
-    """What every supposition needs: the model, the start, the stand, the noise, the largest chi2 that fits."""
+    """What every supposition needs: the model, the start, the stand, the noise, the largest chi2 that fits.
+
+    The model has beside its installations the other ways to sit on the platform; `otherwise` names those of
+    each installation.
+    """
 
     model: ForwardModel
+    otherwise: Mapping[str, Sequence[str]]
     nominal: Block
     prior: Expectation
     stand_u: Mapping[str, float]
@@ -129,23 +149,22 @@ class Inquiry:
 
     def _cabling_now(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         signals = np.stack(list(CABLINGS.values())) @ sighting.signal_v
-        return self._fitting(list(CABLINGS), state.judge(signals, sighting.pose, self.noise), before)
+        return self._fitting(CABLED, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """The block in another installation, or the head elsewhere than its scale was read."""
         label, angle = sighting.installation, sighting.angle_rad
-        supposed = [(_wrong_installation(other, label), other, 0.0) for other in self._others(label)]
-        if abs(np.sin(angle)) > 1e-6:
-            reflected = float(reflected_rad(np.asarray(angle)))
-            supposed.append(("the head stood at 360° - x where x was read", label, reflected))
-        for name, slip in SLIPS_RAD.items():
-            for off in (slip, -slip):
-                text = f"the setting is {name} off: the head stood at {format_dms(angle + off)}"
-                supposed.append((text, label, off))
-        supposed.append(("the head stood on the opposite side of its circle (180°)", label, OPPOSITE_RAD))
-        texts, labels, offs = (list(column) for column in zip(*supposed, strict=True))
-        pose = poses(self.model, self.nominal, sighting.row, labels, angle + np.array(offs))
-        return self._fitting(texts, state.judge(sighting.signal_v, pose, self.noise), before)
+        unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
+        supposed = [
+            Elsewhere(replace(sat, unlikely=sat.unlikely + unlikely), at)
+            for at, sat in self._others(sighting, few=True).items()
+        ]
+        supposed += head_elsewhere(label, angle, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
+        labels = [one.label for one in supposed]
+        angles = angle + np.array([one.off_rad for one in supposed])
+        pose = poses(self.model, self.nominal, sighting.row, labels, angles)
+        judged = state.judge(sighting.signal_v, pose, self.noise)
+        return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """The block moved in the plane of rotation or out of it, or one channel off, by whatever fits."""
@@ -164,30 +183,40 @@ class Inquiry:
         part = (weighed * judged.residual).sum(axis=-1)
         left = 1.0 - (weighed * further).sum(axis=-1)
         moved, u = MOVED_RAD * part, MOVED_RAD * np.sqrt(np.maximum(left, 0.0))
-        texts = [
-            f"block or head is {format_dms(abs(moved[0]))} off about the shaft",
-            f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation",
-        ]
+        about = f"block or head is {format_dms(abs(moved[0]))} off about the shaft"
+        tilted = f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation"
+        supposed = [Supposed(about, Kind.MOVED), Supposed(tilted, Kind.TILTED)]
         for i, channel in enumerate(CHANNELS):
             off_v = part[2 + i] * size[i]
-            texts.append(f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)")
+            text = f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)"
+            supposed.append(Supposed(text, Kind.CHANNEL))
+        large = [*(np.abs(moved[:2]) > LARGE_RAD), *(np.abs(part[2:]) * CHANNEL_OFF_G > LARGE_G)]
+        stops = {one.text: bool(is_large) for one, is_large in zip(supposed, large, strict=True)}
         return [
-            replace(suspect, moved_rad=float(moved[0]), u_rad=float(u[0]))
-            if suspect.text == texts[0]
-            else suspect
-            for suspect in self._fitting(texts, judged, before)
+            replace(suspect, stops=stops[suspect.text], moved_rad=float(moved[0]), u_rad=float(u[0]))
+            if suspect.kind is Kind.MOVED
+            else replace(suspect, stops=stops[suspect.text])
+            for suspect in self._fitting(supposed, judged, before)
         ]
 
-    def _fitting(self, texts: Sequence[str], judged: Judgement, before: float) -> list[Suspect]:
+    def _fitting(self, supposed: Sequence[Supposed], judged: Judgement, before: float) -> list[Suspect]:
         cost = judged.cost(self.most)
         return [
-            Suspect(text, before + float(cost[index]))
-            for index, text in enumerate(texts)
+            Suspect(one.text, one.kind, before + float(cost[index]) + one.unlikely)
+            for index, one in enumerate(supposed)
             if judged.chi2[index] <= self.most
         ]
 
-    def _others(self, label: str) -> list[str]:
-        return [other for other in self.model.installations if other != label]
+    def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposed]:
+        """Return where else the block may sit, by label; after `few` readings other orientations, too."""
+        label = sighting.installation
+        otherwise = self.otherwise.get(label, ()) if few else ()
+        known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
+        return known | {at: Supposed(at, Kind.ORIENTATION, UNLIKELY[Kind.ORIENTATION]) for at in otherwise}
+
+    def _installations(self, label: str) -> list[str]:
+        everywhere = {at for several in self.otherwise.values() for at in several}
+        return [other for other in self.model.installations if other != label and other not in everywhere]
 
     # --- mistakes of the whole run so far ------------------------------------------------------------
 
@@ -196,33 +225,38 @@ class Inquiry:
 
         The last of `history` is the reading to be explained. Member 0 of the replay supposes nothing.
         """
-        label = history[-1].installation
-        others = self._others(label)
+        mounted = max(i for i, s in enumerate(history) if s.new_mount)
+        others = self._others(history[-1], few=len(history) - mounted <= FEW)
         left_out = candidates(history)
-        texts = [
-            "",
-            *CABLINGS,
-            "the head counts the other way",
-            *(_wrong_installation(other, label) for other in others),
-            *(f"{history[k].place} was wrong" for k in left_out),
+        supposed = [
+            Supposed("", Kind.EARLIER),
+            *CABLED,
+            Supposed("the head counts the other way", Kind.ROTATION),
+            Supposed("the head was turned the wrong way since the block was mounted", Kind.ROTATION),
+            *others.values(),
+            *(
+                Supposed(f"{history[k].place} was wrong", Kind.EARLIER, UNLIKELY[Kind.EARLIER])
+                for k in left_out
+            ),
         ]
-        cabling = np.tile(np.eye(3), (len(texts), 1, 1))
+        members = len(supposed)
+        cabling = np.tile(np.eye(3), (members, 1, 1))
         cabling[1 : 1 + len(CABLINGS)] = np.stack(list(CABLINGS.values()))
-        pose = np.zeros((len(history), len(texts)), dtype=np.int64)
+        pose = np.zeros((len(history), members), dtype=np.int64)
         rotation = 1 + len(CABLINGS)
         pose[:, rotation] = 1
-        mounted = max(i for i, s in enumerate(history) if s.new_mount)
+        pose[mounted:, rotation + 1] = 1
         for number in range(len(others)):
-            pose[mounted:, rotation + 1 + number] = 2 + number
-        absent = np.zeros((len(history), len(texts)), dtype=bool)
-        for member, k in enumerate(left_out, start=len(texts) - len(left_out)):
+            pose[mounted:, rotation + 2 + number] = 2 + number
+        absent = np.zeros((len(history), members), dtype=bool)
+        for member, k in enumerate(left_out, start=members - len(left_out)):
             absent[k, member] = True
         replay = self.replay(history, cabling, pose, absent)
-        earlier = [None] * (len(texts) - len(left_out)) + list(left_out)
+        earlier = [None] * (members - len(left_out)) + list(left_out)
         return [
-            Suspect(texts[j], float(replay.cost[j]), earlier[j], j)
-            for j in range(1, len(texts))
-            if replay.taken[-1, j]
+            Suspect(one.text, one.kind, float(replay.cost[j]) + one.unlikely, earlier=earlier[j], member=j)
+            for j, one in enumerate(supposed)
+            if j and replay.taken[-1, j] and (mounted or j != rotation + 1)
         ], replay
 
     def replay(
@@ -244,7 +278,9 @@ class Inquiry:
             if sighting.new_mount:
                 state.remount(self.stand_u)
             state.loosen(sighting.loosened)
-            at = sighting.pose if pose is None else _chosen(self._all_poses(sighting), pose[i])
+            at = sighting.pose
+            if pose is not None and pose[i].any():
+                at = _chosen(self._all_poses(sighting), pose[i])
             signal = sighting.signal_v if cabling is None else cabling @ sighting.signal_v
             judged = state.judge(signal, at, self.noise)
             present = np.ones(members, dtype=bool) if absent is None else ~absent[i]
@@ -258,7 +294,7 @@ class Inquiry:
     def _all_poses(self, sighting: Sighting) -> ExpectedPose:
         if sighting.poses is None:
             label, angle = sighting.installation, sighting.angle_rad
-            others = self._others(label)
+            others = list(self._others(sighting, few=True))
             angles = np.array([angle, -angle, *[angle] * len(others)])
             labels = [label, label, *others]
             sighting.poses = poses(self.model, self.nominal, sighting.row, labels, angles)
@@ -272,15 +308,17 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 
 
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return the suspects that the readings cannot tell from the likeliest one, each text once."""
+    """Return the suspects that the readings cannot tell from the likeliest one, each text once.
+
+    Beside one of a certain size a shift of whatever size fits is none.
+    """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
-    best = min((s.cost for s in ranked.values()), default=0.0)
-    return sorted((s for s in ranked.values() if s.cost - best < TIE), key=lambda s: s.cost)
+    best = min(ranked.values(), key=lambda s: s.cost, default=None)
+    if best is None:
+        return []
+    rivals = (s for s in ranked.values() if best.kind in FREE or s.kind not in FREE)
+    return sorted((s for s in rivals if s.cost - best.cost < TIE), key=lambda s: s.cost)
 
 
 def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
     return ExpectedPose(pose.force[index], pose.slopes[index], pose.addition[index])
-
-
-def _wrong_installation(actual: str, stated: str) -> str:
-    return f"the block sits in installation {actual}, not in {stated}"

@@ -1,7 +1,8 @@
 """Early warning: each reading is held against what the readings before it let the model expect.
 
 A slipped mount, a swapped or reversed channel, a wrong setting or installation is seen at the point where
-it happens. Nothing is rejected by it: the record keeps every reading, and the calibration decides later.
+it happens. Nothing is rejected by it: the record keeps every reading, and the calibration decides later. Where
+one mistake is sure, the sign says so, and the run stops and asks (`bench.run.watch.confidence`).
 
 The test: the three residuals of a reading are, if all is well, normal with a covariance that is known from
 the bench file, the prior and the readings so far; their chi-square with three degrees of freedom exceeds its
@@ -11,8 +12,10 @@ that is taken for noise, since they cover errors that repeats do not show; repea
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -24,8 +27,10 @@ from bench.model import Block, ForwardModel
 from bench.readings.reading import Reading, readings_of
 from bench.readings.table import UNORIENTED
 from bench.run.watch.causes import Inquiry, Replay, Sighting, Suspect, likeliest
+from bench.run.watch.confidence import Confidence
 from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, RepeatNoise, poses
 from bench.run.watch.sign import EarlySign, millivolts, misfit, why
+from bench.run.watch.suppositions import orientations
 from drivers.angles import format_dms
 
 SCALE_FACTOR_U: Final = 0.03
@@ -61,6 +66,9 @@ LEAST_NOISE_G: Final = 10e-6
 POORLY_KNOWN: Final = 3.0
 """An expectation this many times less certain than a reading cannot show a small mistake in it."""
 
+Place = tuple[int, str, int, int]
+"""A reading by series, installation, pass and point."""
+
 TOLD_SIGMA: Final = 3.0
 """Channels off by more standard deviations are named in a warning."""
 
@@ -70,7 +78,8 @@ class EarlyWarning:
 
     `nominal_v_g` are the block's nominal scale factors with their signs, `stand_u` the standard uncertainties
     of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V), `readings` how many the
-    run takes in all. A reading that does not fit teaches the model nothing, so that one mistake does not
+    run takes in all, `following` the angle (rad) to which the head goes after a reading on the same mounting.
+    A reading that does not fit teaches the model nothing, so that one mistake does not
     spoil what follows and a lasting one goes on being told.
     """
 
@@ -80,12 +89,18 @@ class EarlyWarning:
         model: ForwardModel,
         stand_u: Mapping[str, float],
         readings: int = PAPER_READINGS,
+        following: Mapping[Place, float] | None = None,
     ) -> None:
         scale = np.abs(np.asarray(nominal_v_g, dtype=np.float64))
         self._scale = scale
         self._nominal = Block(np.diag(nominal_v_g), np.zeros(3))
-        self._model = model
         self._oriented = model.installations.keys() - UNORIENTED
+        ways = {label: orientations(model.installations, label) for label in self._oriented}
+        self._otherwise = {label: tuple(found) for label, found in ways.items()}
+        further = {text: sat for found in ways.values() for text, sat in found.items()}
+        self._model = replace(model, installations={**model.installations, **further})
+        self._following = following or {}
+        self._confidence = Confidence(readings)
         self._stand_u = dict(stand_u)
         terms = np.where(np.eye(3) == 1, SCALE_FACTOR_U, CROSS_AXIS_U) * scale[:, None]
         self._prior = Expectation.about(self._nominal, np.concatenate([terms.ravel(), BIAS_U_G * scale]))
@@ -111,7 +126,32 @@ class EarlyWarning:
     def remounted(self) -> None:
         """Say that the block was mounted anew, where the next row does not show it by its installation."""
         self._mounted_anew = True
+        self._confidence.mounted()
         self._visits.clear()  # what differs from now on is the mounting, no noise
+
+    def strike(self, places: Collection[Place]) -> None:
+        """Forget readings that are to be taken again."""
+        found = [sighting for place in places if (sighting := self._places.pop(place, None)) is not None]
+        for sighting in found:
+            sighting.struck = True
+        if found:
+            self._in_a_row, self._moved = 0, None
+            self._confidence.forget()
+            self._go_through_again()
+
+    def went_on(self) -> None:
+        """Say that a person goes on in spite of the last sign that stopped the run."""
+        if self._history:
+            self._confidence.went_on(self._history[-1])
+
+    def foresee(self, reading: Reading) -> Judgement:
+        """Hold a reading against what is expected of it without taking it: what a mistake in it would show."""
+        ahead = copy.deepcopy(self)
+        sighting = ahead._sight(reading)
+        if sighting.new_mount:
+            ahead._state.remount(ahead._stand_u)
+        ahead._state.loosen(sighting.loosened)
+        return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
 
     def take(self, reading: Reading) -> list[EarlySign]:
         """Judge a reading and learn from it; return what is to be told.
@@ -137,6 +177,7 @@ class EarlyWarning:
         if sighting.taken:
             self._state.take(judged)
             self._in_a_row, self._moved = 0, None
+            signs += self._wrong_before(judged)
         else:
             signs.append(self._suspect(sighting, judged))
         self._learn_noise(sighting)
@@ -150,7 +191,10 @@ class EarlyWarning:
     def _sight(self, reading: Reading) -> Sighting:
         """Make a sighting of a reading, with what may have changed since the last one."""
         conditions = readings_of([reading], "").conditions()
-        new_mount = self._mounted_anew or self._history[-1].row.mounts != conditions.mounts
+        before = self._history[-1] if self._history else None
+        new_mount = self._mounted_anew or before is None or before.row.mounts != conditions.mounts
+        if new_mount:
+            self._confidence.mounted()
         self._mounted_anew = False
         where = f"installation {conditions.mounts[0]}, pass {reading.pass_number}, point {reading.point}"
         sighting = Sighting(
@@ -162,9 +206,32 @@ class EarlyWarning:
             loosened=self._changes(
                 float(conditions.time_s[0]), float(conditions.temperature_c[0]), new_mount
             ),
+            sat_before=self._sat_before(conditions.mounts[0].installation, new_mount),
+            last_rad=None if new_mount or before is None else before.angle_rad,
+            pivot_rad=None if new_mount else self._pivot_rad(),
+            next_rad=self._following.get(reading.place),
+            reading_place=reading.place,
         )
         self._places[reading.place] = sighting
         return sighting
+
+    def _sat_before(self, label: str, new_mount: bool) -> str | None:
+        """Return the installation of the mounting before the one that lasts."""
+        if not self._history:
+            return None
+        last = self._history[-1]
+        if not new_mount or last.installation == label:
+            return last.sat_before
+        return last.installation
+
+    def _pivot_rad(self) -> float | None:
+        """Return the angle of the last reading that fitted on the mounting that lasts."""
+        for sighting in reversed(self._history):
+            if sighting.taken and not sighting.struck:
+                return sighting.angle_rad
+            if sighting.new_mount:
+                break
+        return None
 
     def _changes(self, time_s: float, temperature_c: float, new_mount: bool) -> Floats:
         """Variances (12,) by which the coefficients may have changed since the last reading."""
@@ -218,7 +285,9 @@ class EarlyWarning:
     # --- a reading that does not fit -----------------------------------------------------------------
 
     def _inquiry(self) -> Inquiry:
-        return Inquiry(self._model, self._nominal, self._prior, self._stand_u, self.noise, self._most)
+        return Inquiry(
+            self._model, self._otherwise, self._nominal, self._prior, self._stand_u, self.noise, self._most
+        )
 
     def _suspect(self, sighting: Sighting, judged: Judgement) -> EarlySign:
         """Find the mistakes that explain the reading, and tell them."""
@@ -227,16 +296,33 @@ class EarlyWarning:
         of_reading = inquiry.of_reading(sighting, self._state, replay.before)
         causes = likeliest([*of_reading, *of_run])
         self._in_a_row += 1
-        at_fault, texts = None, [suspect.text for suspect in causes]
+        chi2, at_fault = float(judged.chi2[0]), None
         if len(causes) == 1 and causes[0].earlier is not None:
-            at_fault, texts = self._blame_earlier(causes[0].earlier, replay, causes[0].member)
+            wrong = self._history[causes[0].earlier]
+            causes = self._blame_earlier(causes[0].earlier, replay, causes[0].member)
+            at_fault = wrong
+            confident = wrong.row.mounts == sighting.row.mounts and self._confidence.earlier(chi2, causes)
         else:
-            texts = self._lasting(sighting, of_reading) or texts
+            causes = self._lasting(sighting, of_reading) or causes
+            confident = self._confidence.misfits(sighting, chi2, causes, self._in_a_row)
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
-        words = f"{misfit(judged, channels)}; {why(texts, at_fault)}"
-        return self._sign(sighting, judged, channels, words, texts, at_fault)
+        words = f"{misfit(judged, channels)}; {self._why(causes, at_fault)}"
+        return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
+
+    def _wrong_before(self, judged: Judgement) -> list[EarlySign]:
+        """Tell of the reading before, where only this one, which fits, shows what was wrong with it."""
+        found = self._confidence.fits()
+        if found is None:
+            return []
+        wrong, causes = found
+        words = f"it fits, so {self._why(causes, wrong)}"
+        return [self._sign(self._history[-1], judged, (), words, causes, wrong, confident=True)]
+
+    @staticmethod
+    def _why(causes: Sequence[Suspect], at_fault: Sighting | None) -> str:
+        return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
     def _noisy(self, sighting: Sighting, judged: Judgement) -> EarlySign:
         """Tell, once, that the bench is noisier than its file states."""
@@ -246,7 +332,8 @@ class EarlyWarning:
             f"repeats scatter by {millivolts(found)} where the bench file states "
             f"{millivolts(stated)}; warnings so far may come from that, and mistakes below it cannot be seen"
         )
-        return self._sign(sighting, judged, CHANNELS, words, [cause])
+        sign = self._sign(sighting, judged, CHANNELS, words, [])
+        return replace(sign, causes=(cause,))
 
     def _sign(
         self,
@@ -254,25 +341,36 @@ class EarlyWarning:
         judged: Judgement,
         channels: tuple[str, ...],
         words: str,
-        causes: Sequence[str],
-        at_fault: str | None = None,
+        causes: Sequence[Suspect],
+        at_fault: Sighting | None = None,
+        *,
+        confident: bool = False,
     ) -> EarlySign:
-        place, sigma = sighting.place, tuple(judged.sigma[0].tolist())
-        sentence = f"{place}: {words}"
-        return EarlySign(sentence, place, channels, sigma, judged.p, tuple(causes), self._in_a_row, at_fault)
+        return EarlySign(
+            sentence=f"{sighting.place}: {words}",
+            place=sighting.place,
+            channels=channels,
+            sigma=tuple(judged.sigma[0].tolist()),
+            p=judged.p,
+            causes=tuple(cause.text for cause in causes),
+            in_a_row=self._in_a_row,
+            at_fault=at_fault.place if at_fault else None,
+            kinds=tuple(cause.kind for cause in causes),
+            confident=confident,
+            wrong=(at_fault or sighting).reading_place if confident else None,
+        )
 
-    def _blame_earlier(self, index: int, replay: Replay, member: int) -> tuple[str, list[str]]:
-        """Strike an earlier reading and go on from the model without it; return its place and the causes."""
+    def _blame_earlier(self, index: int, replay: Replay, member: int) -> list[Suspect]:
+        """Strike an earlier reading and go on from the model without it; return what explains it."""
         wrong = self._history[index]
         self._adopt(replay.taken[:, member], replay.state.member(member))
         wrong.struck = True
         self._in_a_row = 0
         if wrong.row.mounts != self._history[-1].row.mounts:
-            return wrong.place, []  # the stand's angles of its mounting are forgotten by now
-        causes = likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
-        return wrong.place, [suspect.text for suspect in causes]
+            return []  # the stand's angles of its mounting are forgotten by now
+        return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
-    def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[str]:
+    def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
         """Tell a slip that stays from one wrong setting: the same angle as at the reading before."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
@@ -284,7 +382,6 @@ class EarlyWarning:
         if abs(now.moved_rad - before[1].moved_rad) > TOLD_SIGMA * math.hypot(now.u_rad, before[1].u_rad):
             return []
         self._moved = (before[0], now)
-        slipped = format_dms(abs(now.moved_rad))
-        return [
-            f"the block has slipped in its mount, or the head on its zero, by {slipped} since {before[0].place}"
-        ]
+        slipped, since = format_dms(abs(now.moved_rad)), before[0].place
+        text = f"the block has slipped in its mount, or the head on its zero, by {slipped} since {since}"
+        return [replace(now, text=text)]

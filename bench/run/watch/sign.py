@@ -22,7 +22,8 @@ class EarlySign:
     `channels` those that stand out, `p` the probability of so large a misfit by chance; `causes` are the
     mistakes that explain it equally well, likeliest first, empty when none does; `in_a_row` counts readings
     in succession that did not fit; `at_fault` is the place of an earlier reading where that one was wrong (and
-    this one fits without it: `in_a_row` is 0).
+    this one fits without it: `in_a_row` is 0). `kinds` are those of the causes. `confident`: the run is to stop and
+    ask (`bench.run.watch.confidence`); `wrong` is then the reading at fault (series, installation, pass, point).
     """
 
     sentence: str
@@ -33,6 +34,9 @@ class EarlySign:
     causes: tuple[str, ...]
     in_a_row: int
     at_fault: str | None = None
+    kinds: tuple[str, ...] = ()
+    confident: bool = False
+    wrong: tuple[int, str, int, int] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return it as the data of an event."""

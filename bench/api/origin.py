@@ -1,0 +1,185 @@
+"""Where readings come from: of a run its manifest tells it, of an exported readings file the file beside it.
+
+`bench export RUN --csv NAME.csv` writes NAME.csv.json. It is believed as long as the readings file is byte for
+byte the one that it was written for.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+
+from bench.base.regular import MEGABYTE, read_regular
+from bench.base.visible import visible
+from bench.base.whole import to_text
+from bench.run.folder import BENCH, IMPORTED, Run
+from bench.run.manifest import sha256
+
+FORMAT: Final = 1
+SUFFIX: Final = ".json"
+
+
+def _printable(text: str) -> str:
+    if visible(text) != text:
+        raise ValueError("text with control characters")
+    return text
+
+
+_Text = Annotated[str, AfterValidator(_printable)]
+
+
+class _Part(BaseModel):
+    """A part of the file beside a readings file; what it does not know it leaves alone."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+
+class UnitOrigin(_Part):
+    """The block: what it is, its serial number."""
+
+    type: _Text
+    serial: _Text
+
+
+class BenchOrigin(_Part):
+    """The bench file of a run: as it was named, the run's copy of it (from the readings file, too), its SHA-256."""
+
+    file: _Text
+    copied_to: _Text
+    copied_to_from_here: _Text = ""
+    sha256: _Text
+
+
+class Origin(_Part):
+    """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well."""
+
+    simulated: bool
+    run: _Text
+    begun: _Text
+    operator: _Text
+    procedure: _Text
+    plan_hash: _Text
+    unit_under_test: UnitOrigin | None
+    bench: BenchOrigin
+    instruments: dict[_Text, _Text]
+    measured_with: dict[_Text, _Text]
+
+    def text_beside(self, readings: Path, content: bytes) -> str:
+        """Return the text of the file that stands beside a readings file of this content."""
+        own = self.model_dump(mode="json", exclude={"sha256"})
+        try:
+            here = os.path.relpath(self.bench.copied_to, readings.absolute().parent)
+        except ValueError:  # on another drive
+            here = ""
+        own["bench"]["copied_to_from_here"] = here
+        about = {"format": FORMAT, "sha256": sha256(content), **own}
+        return to_text(about)
+
+    def bench_file(self, readings: Path) -> Path | None:
+        """Return the bench file that is meant, for a readings file; None where it is not here as it was.
+
+        Looked for in the run's folder, also where both were moved together, and where the run had it from.
+        """
+        places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
+        for path in (readings.parent / place for place in places if place):
+            if (content := _read(path)) is not None and sha256(content) == self.bench.sha256:
+                return path
+        return None
+
+
+@dataclass(frozen=True)
+class Told:
+    """What stands beside a readings file: `origin` where it is believed, `notes` what a reader should know."""
+
+    origin: Origin | None = None
+    notes: tuple[str, ...] = ()
+
+
+def origin_of_run(run: Run) -> Told:
+    """Return where the readings of a run come from; of an imported one what its readings file tells."""
+    if run.imported:
+        told = origin_beside(run.folder / IMPORTED)
+        if told.origin is not None or told.notes:
+            return told
+    manifest = run.manifest
+    unit = manifest.get("unit_under_test")
+    copied_to = run.folder.absolute() / BENCH
+    return Told(
+        Origin(
+            simulated=run.simulated,
+            run=run.name,
+            begun=run.created,
+            operator=_shown(manifest.get("operator")),
+            procedure=_shown(manifest.get("procedure")),
+            plan_hash=_shown(manifest.get("plan_hash")),
+            unit_under_test=unit and UnitOrigin(type=_shown(unit["type"]), serial=_shown(unit["serial"])),
+            bench=BenchOrigin(
+                file=_shown(manifest.get("bench")),
+                copied_to=_shown(copied_to),
+                sha256=sha256(copied_to.read_bytes()),
+            ),
+            instruments={name: _shown(identity) for name, identity in run.history.identities.items()},
+            measured_with={name: _shown(v) for name, v in manifest.get("versions", {}).items()},
+        )
+    )
+
+
+def origin_beside(readings: Path) -> Told:
+    """Return what the file beside a readings file tells of it; nothing where there is none, or another one."""
+    file = readings.with_name(readings.name + SUFFIX)
+    content = _read(file)
+    if content is None:
+        return Told()
+    try:
+        about = _About.model_validate_json(content)
+    except ValidationError:
+        return Told() if b'"sha256"' not in content else Told(notes=(f"{file.name} {_UNREADABLE}",))
+    if about.sha256 != sha256(readings.read_bytes()):
+        return Told(notes=(_mismatch(readings.name, file.name, about),))
+    return Told(about)
+
+
+def is_told(file: Path) -> bool:
+    """Whether a file is one that tells where readings come from, of whatever readings file."""
+    try:
+        _About.model_validate_json(_read(file) or b"")
+    except ValidationError:
+        return False
+    return True
+
+
+_UNREADABLE: Final = (
+    "is none that this program writes beside a readings file: what it says of simulation, unit and bench is not "
+    "taken over"
+)
+
+
+class _About(Origin):
+    """The whole file: the origin of the readings, and of which readings file."""
+
+    sha256: _Text
+
+
+def _mismatch(readings: str, file: str, about: Origin) -> str:
+    kind = "SIMULATED instruments" if about.simulated else "real instruments"
+    return (
+        f"{readings} was changed after it was exported: {file} is of another content (SHA-256), of run {about.run} "
+        f"on {kind}; what it says of simulation, unit and bench is not taken over"
+    )
+
+
+def _read(path: Path) -> bytes | None:
+    """Return the content of a regular file of a usual size; None for all else."""
+    try:
+        return read_regular(path, MEGABYTE)
+    except OSError:
+        return None
+
+
+def _shown(value: object) -> str:
+    """Return a value of a record as text that can be printed."""
+    return visible(str(value or ""))

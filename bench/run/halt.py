@@ -1,0 +1,82 @@
+"""A run that stopped for an early sign: the question how to go on, and what an answer means."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from bench.procedure.plan import Mount, Plan, Read, SetTemperature
+from bench.run.control import OperatorWish, RunControl
+from bench.run.events import Event
+from bench.run.prompts import MOST_ATTEMPTS
+from bench.run.states import Wish
+from drivers.interfaces import BenchError, NoAnswer, Person, Prompt, PromptKind
+
+GO_ON: Final = "go on"
+ANSWERS: Final = {
+    "redo point": Wish.REPEAT_POINT,
+    "redo pass": Wish.REPEAT_PASS,
+    "mount again": Wish.MOUNT_AGAIN,
+}
+"""What can be answered beside "go on REASON"."""
+
+
+def halt_prompt(doubt: Event) -> Prompt:
+    """Return the question that a run asks which stopped for an early sign; it has no default."""
+    return Prompt(
+        id=f"halt@{doubt.number}",
+        kind=PromptKind.CHOOSE,
+        text=f"Stopped. {doubt.data['sentence']}. Put it right, then say how to go on: take the point again, take "
+        "the pass again, mount the block again and take the pass again, or go on with the readings as they are "
+        "and say why",
+        choices=(*ANSWERS, f"{GO_ON} REASON"),
+        action={"do": "ask"},
+    )
+
+
+def how_to_go_on(person: Person, doubt: Event) -> str:
+    """Ask how to go on: raise `OperatorWish` for something to be taken again, or return why it is gone on.
+
+    Raises `NoAnswer` with what the sign says where nobody answers.
+    """
+    prompt = halt_prompt(doubt)
+    answers = ", ".join(prompt.choices)
+    trouble = ""
+    for attempt in range(1, MOST_ATTEMPTS + 1):
+        put = replace(prompt, id=f"{prompt.id}#{attempt}", text=f"{trouble}{prompt.text}")
+        try:
+            answer = person.ask(put)
+        except NoAnswer as nobody:
+            raise NoAnswer(
+                "operator",
+                f"the run stopped: {doubt.data['sentence']}; nobody said how to go on",
+                f"look at the bench, then resume and answer {answers}",
+            ) from nobody
+        given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""
+        if given.lower() in ANSWERS:
+            raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
+        reason = given[len(GO_ON) :].strip() if given.lower().startswith(f"{GO_ON} ") else ""
+        if reason and reason != "REASON":
+            return reason
+        trouble = f"Answer one of {answers}, not {given!r}. "
+    raise BenchError("operator", "no usable answer to how to go on", f"answer {answers}")
+
+
+def step_in_doubt(plan: Plan, doubt: Event) -> int:
+    """Return the step after the reading that a sign finds wrong: its own, or one before on its mounting."""
+    _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
+    for index in range(doubt.step, -1, -1):
+        step = plan.steps[index]
+        if isinstance(step, Mount | SetTemperature):
+            break
+        if isinstance(step, Read) and (step.pass_number, step.point) == (pass_number, point):
+            return index + 1
+    return doubt.step + 1
+
+
+def mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
+    """Return the step that mounted the block as it is mounted at step `index`; None where none did."""
+    for i in range(index - 1, -1, -1):
+        if isinstance(step := plan.steps[i], Mount):
+            return i, step
+    return None

@@ -1,0 +1,93 @@
+"""When an early sign is sure enough to stop a run: one mistake, far beyond chance, in one reading or two in a row.
+
+The rule. A reading is *far beyond chance* where so large a misfit comes by chance in a whole run with a probability
+below `STOP_ALARM`. A run is stopped
+
+- at such a reading, where one mistake alone explains it (no other is within `TIE` of its cost, odds of 20 : 1);
+- at the second of two readings in a row that do not fit, each beyond `FALSE_ALARM` for the run, where mistakes
+  explain it: one, or several that these readings cannot tell apart, which are then all named;
+- at the reading after one far beyond chance that several mistakes explained, if it fits itself: then the one
+  before was wrong alone.
+
+It is never stopped where a cause may also be an effect of the block or the stand (a small shift), or where none
+is known. The second way comes by chance in `N (FALSE_ALARM / N)**2` of runs of N readings: 4e-7 of 58. So on a
+good bench fewer than 2e-6 of runs are stopped, if readings scatter as the bench file says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from scipy.special import chdtri
+
+from bench.model import Mounting
+from bench.run.watch.causes import Sighting, Suspect
+from bench.run.watch.suppositions import LASTING, Kind
+
+STOP_ALARM: Final = 1e-6
+"""Probability that a whole run on a good bench has one reading that is far beyond chance."""
+
+
+class Confidence:
+    """Decides of each early sign whether it stops the run, and remembers what a person went on with."""
+
+    def __init__(self, readings: int) -> None:
+        self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
+        self._last: tuple[Kind, ...] = ()
+        self._accepted: set[tuple[Kind, tuple[Mounting, ...] | None]] = set()
+        self._silent = False
+        self._undecided: tuple[Sighting, list[Suspect]] | None = None
+
+    def mounted(self) -> None:
+        """Say that the block was mounted anew: what was accepted of the mounting before is over."""
+        self._silent, self._undecided = False, None
+
+    def forget(self) -> None:
+        """Say that readings are taken again: nothing about them is undecided any more."""
+        self._silent, self._undecided = False, None
+
+    def went_on(self, sighting: Sighting) -> None:
+        """Say that a person goes on with the mistakes last named: lasting ones are not asked about again."""
+        self._silent = True
+        for kind in self._last:
+            if kind in LASTING:
+                mount = sighting.row.mounts if kind in (Kind.INSTALLATION, Kind.ORIENTATION) else None
+                self._accepted.add((kind, mount))
+
+    def misfits(self, sighting: Sighting, chi2: float, causes: Sequence[Suspect], in_a_row: int) -> bool:
+        """Tell whether the run is to be stopped at a reading that does not fit, `in_a_row`-th of such ones."""
+        self._undecided = None
+        causes = [cause for cause in causes if cause.kind is not Kind.EARLIER]
+        if not causes or not all(cause.stops for cause in causes) or self._is_accepted(sighting, causes):
+            return False
+        far = chi2 > self._sure
+        stops = (far and len(causes) == 1) or in_a_row >= 2
+        if far and not stops:
+            self._undecided = (sighting, list(causes))
+        return self._stopped_for(causes) if stops else False
+
+    def earlier(self, chi2: float, causes: Sequence[Suspect]) -> bool:
+        """Tell whether the run is to be stopped for an earlier reading, which these causes explain."""
+        if self._silent or chi2 <= self._sure or not causes or not all(cause.stops for cause in causes):
+            return False
+        return self._stopped_for(causes)
+
+    def fits(self) -> tuple[Sighting, list[Suspect]] | None:
+        """Take note of a reading that fits; return the one before with what explains it, if that was wrong."""
+        self._silent = False
+        before, self._undecided = self._undecided, None
+        if before is None:
+            return None
+        sighting, causes = before
+        causes = [cause for cause in causes if cause.kind not in LASTING] or causes
+        self._stopped_for(causes)
+        return sighting, causes
+
+    def _is_accepted(self, sighting: Sighting, causes: Sequence[Suspect]) -> bool:
+        held = {kind for kind, mount in self._accepted if mount in (None, sighting.row.mounts)}
+        return self._silent or any(cause.kind in held for cause in causes)
+
+    def _stopped_for(self, causes: Sequence[Suspect]) -> bool:
+        self._last = tuple(cause.kind for cause in causes)
+        return True

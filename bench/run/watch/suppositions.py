@@ -1,0 +1,177 @@
+"""The mistakes that the early warning supposes: their kinds, words, how plausible they are beforehand.
+
+A run is stopped only for mistakes that are made at once and whole (a cable in another input, a head that was not
+turned, another mounting), and for shifts larger than any effect makes. Effects of a block or a stand, which
+move readings little by little, are told and measured on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import permutations, product
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.model import Installation
+from bench.readings.mistaken import EXCHANGED, REVERSED, SLIPS_RAD, Wiring, reflected_rad
+from drivers.angles import format_dms, wrapped_rad
+
+
+class Kind(StrEnum):
+    """Kinds of mistakes, as signs name them beside the words."""
+
+    CABLING = "cabling"
+    ROTATION = "rotation"
+    INSTALLATION = "installation"
+    ORIENTATION = "orientation"
+    NOT_TURNED = "not_turned"
+    NEXT_POINT = "next_point"
+    WRONG_WAY = "wrong_way"
+    SLIP = "slip"
+    MOVED = "moved"
+    TILTED = "tilted"
+    CHANNEL = "channel"
+    EARLIER = "earlier"
+
+
+LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
+"""Mistakes that stay until they are mended; the others are those of one reading."""
+
+FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
+"""Shifts of whatever size fits: no rivals of a mistake of one certain size that fits better."""
+
+UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 8.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
+"""What a kind costs beforehand (-2 ln of its odds against the plainest ones)."""
+
+OTHER_INSTALLATION: Final = 4.0
+"""What an installation costs beforehand in which the block did not sit before."""
+
+SAT_RIGHT: Final = 12.0
+"""What it costs that a block sits otherwise for one reading, after others of its mounting fitted."""
+
+SAME_RAD: Final = float(np.radians(0.5))
+"""Angles nearer than this are one supposition."""
+
+
+@dataclass(frozen=True)
+class Supposed:
+    """A supposition in words, its kind, and what it costs beforehand."""
+
+    text: str
+    kind: Kind
+    unlikely: float = 0.0
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A reading supposed to have been taken with the block in another `label`, the head `off_rad` away."""
+
+    supposed: Supposed
+    label: str
+    off_rad: float = 0.0
+
+
+def _said(wiring: Wiring) -> str:
+    """Say what is wrong with the cables."""
+    match wiring.channels:
+        case (one,):
+            return f"channel {one} is reversed"
+        case one, other:
+            return f"channels {one} and {other} are swapped"
+    return f"the channels are exchanged in turn: {wiring.shown}"
+
+
+CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
+"""What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
+
+EXCHANGED_IN_TURN: Final = 4.0
+"""What it costs beforehand that all three cables are wrong, which looks like a block that sits otherwise."""
+
+CABLED: Final = tuple(
+    Supposed(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
+    for wiring in (*EXCHANGED, *REVERSED)
+)
+
+
+def other_installation(actual: str, stated: str, before: str | None) -> Supposed:
+    """Suppose that the block sits in another installation; `before` is that of the mounting before."""
+    text = f"the block sits in installation {actual}, not in {stated}"
+    return Supposed(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
+
+
+def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
+    """Return the ways in which a block may sit on the platform otherwise, by what is said of each.
+
+    They are the quarter turns of installation `label`, without those that another installation has.
+    """
+    own = installations[label].block_from_platform
+    known = [other.block_from_platform for other in installations.values()]
+    found = {}
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.diag(signs) @ np.eye(3)[list(order)]
+        turned = turn @ own
+        if np.linalg.det(turn) < 0 or any(np.allclose(turned, one, atol=1e-6) for one in known):
+            continue
+        axes = [("" if signs[i] > 0 else "-") + CHANNELS[order[i]] for i in range(3)]
+        where = ", ".join(
+            f"{CHANNELS[i]} where {axes[i]} belongs" for i in range(3) if axes[i] != CHANNELS[i]
+        )
+        text = f"the block sits otherwise than in installation {label}: {where}"
+        found[text] = Installation(text, turned)
+    return found
+
+
+def head_elsewhere(
+    label: str, angle_rad: float, last_rad: float | None, next_rad: float | None, pivot_rad: float | None
+) -> list[Elsewhere]:
+    """Suppose that the head stood elsewhere than its scale was read.
+
+    `last_rad` is the angle at the point before on the same mounting, `next_rad` that of the point to come,
+    `pivot_rad` that of the last point that fitted: from there the head may have been turned the wrong way.
+    """
+    found: list[Elsewhere] = []
+
+    def add(text: str, kind: Kind, off_rad: float) -> None:
+        off_rad = wrapped_rad(off_rad)
+        if abs(off_rad) > SAME_RAD and all(
+            abs(wrapped_rad(one.off_rad - off_rad)) > SAME_RAD for one in found
+        ):
+            supposed = Supposed(text, kind, UNLIKELY.get(kind, 0.0))
+            found.append(Elsewhere(supposed, label, off_rad))
+
+    if last_rad is not None:
+        add(
+            f"the head was not turned: the signals are those of the point before, at {format_dms(last_rad)}",
+            Kind.NOT_TURNED,
+            last_rad - angle_rad,
+        )
+    if next_rad is not None:
+        text = f"the head was turned to the next point: it stood at {format_dms(next_rad)}"
+        add(text, Kind.NEXT_POINT, next_rad - angle_rad)
+    reflected = float(reflected_rad(np.asarray(angle_rad)))
+    if pivot_rad is not None:
+        stood = 2 * pivot_rad - angle_rad
+        also = ", or 360° - x was read for x" if abs(wrapped_rad(stood + angle_rad)) < SAME_RAD else ""
+        text = f"the head was turned the wrong way{also}: it stood at {format_dms(stood % (2 * np.pi))}"
+        add(text, Kind.WRONG_WAY, stood - angle_rad)
+    add("the head stood at 360° - x where x was read", Kind.SLIP, reflected)
+    slips = [
+        Elsewhere(
+            Supposed(
+                f"the setting is {name} off: the head stood at {format_dms(angle_rad + off)}",
+                Kind.SLIP,
+                UNLIKELY[Kind.SLIP],
+            ),
+            label,
+            off,
+        )
+        for name, slip in SLIPS_RAD.items()
+        for off in (slip, -slip)
+        if all(abs(wrapped_rad(one.off_rad - off)) > SAME_RAD for one in found)
+    ]
+    add("the head stood on the opposite side of its circle (180°)", Kind.SLIP, float(np.pi))
+    return [*found, *slips]

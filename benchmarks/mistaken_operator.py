@@ -1,0 +1,292 @@
+"""A scripted operator who makes one mistake, and mends it when the run stops and asks.
+
+What goes wrong, where, and what names it rightly is one `Mistake`. The operator's hands stand between
+`sim.world.operator.ScriptedOperator` and the world: cables, mountings and turns are those of the mistake until the
+run asks how to go on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from random import Random
+from typing import Any, Final
+
+import numpy as np
+
+from bench.model import Installation
+from bench.procedure.plan import Mount, Plan, Turn
+from bench.run.watch.suppositions import orientations
+from drivers.interfaces import CHANNELS, Answer, Channel, Direction, Prompt
+from sim.world.operator import OperatorSettings, ScriptedOperator, scale_text
+from sim.world.world import World
+
+MISREAD: Final = {"misread 1°": 3600.0, "misread 10′": 600.0, "misread 1′": 60.0}
+KINDS: Final = (
+    "not remounted",
+    "remounted wrongly",
+    "not turned",
+    "turned to the next point",
+    "wrong direction",
+    "cables swapped",
+    *MISREAD,
+    "misread 360° - x",
+    "typed",
+)
+TYPED: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0, None)
+"""What is typed where the head stands right, arcsec off; None for 360° - x."""
+
+REDO: Final = {
+    "not remounted": "mount again",
+    "remounted wrongly": "mount again",
+    "cables swapped": "redo pass",
+    "wrong direction": "redo pass",
+}
+"""What is answered when the run stops; the point is taken again where nothing else stands here."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake made at the step `index` of a plan.
+
+    `label` is where the block sits instead, `angle_rad` where the head stands, `off_arcsec` how much is typed
+    off, `cables` which are swapped. `named` are phrases of which one stands in a cause that is right.
+    """
+
+    kind: str
+    index: int
+    named: tuple[str, ...]
+    label: str | None = None
+    angle_rad: float | None = None
+    off_arcsec: float | None = None
+    cables: tuple[Channel, ...] = ()
+
+
+def pass_of(plan: Plan, index: int) -> str:
+    """Say in which pass a step stands, such as "2.3": installation and pass."""
+    step = plan.steps[index]
+    return f"{step.installation}.{step.pass_number}" if isinstance(step, Turn) else f"{step.installation}.1"  # type: ignore[union-attr]
+
+
+def draw(kind: str, number: int, plan: Plan, installations: Mapping[str, Installation], seed: int) -> Mistake:
+    """Draw the `number`-th mistake of a kind; the passes in which it can be made come in turn."""
+    random = Random(f"{kind} {number} {seed}")  # noqa: S311 - nothing secret
+    places: dict[str, list[int]] = {}
+    for index in range(len(plan.steps)):
+        if _possible(kind, plan, index):
+            places.setdefault(pass_of(plan, index), []).append(index)
+    index = random.choice(list(places.values())[number % len(places)])
+    step = plan.steps[index]
+    if isinstance(step, Mount):
+        return _of_mounting(kind, plan, index, step, installations, random)
+    assert isinstance(step, Turn)  # noqa: S101
+    return _of_turn(kind, plan, index, step, random)
+
+
+def _possible(kind: str, plan: Plan, index: int) -> bool:
+    step, mounting = plan.steps[index], kind in ("not remounted", "remounted wrongly")
+    if isinstance(step, Mount):
+        return mounting and (kind != "not remounted" or _last_mount(plan, index) is not None)
+    if not isinstance(step, Turn) or mounting:
+        return False
+    before, after = _neighbour(plan, index, -1), _neighbour(plan, index, 1)
+    target = step.target_rad
+    return {
+        "not turned": before is not None and not _same(before, target),
+        "turned to the next point": after is not None and not _same(after, target),
+        "wrong direction": before is not None and not _same(2 * before, 2 * target),
+        "misread 360° - x": not _same(target, -target),
+    }.get(kind, True)
+
+
+def _of_mounting(
+    kind: str,
+    plan: Plan,
+    index: int,
+    step: Mount,
+    installations: Mapping[str, Installation],
+    random: Random,
+) -> Mistake:
+    before = _last_mount(plan, index)
+    if kind == "not remounted":
+        return Mistake(kind, index, (f"sits in installation {before},",), label=None)
+    turned = orientations(installations, step.installation)
+    known = [label for label in installations if label not in (step.installation, before)]
+    label = random.choice([random.choice(known), random.choice(list(turned))])
+    named = label if label in turned else f"sits in installation {label},"
+    return Mistake(kind, index, (named,), label=label)
+
+
+def _of_turn(kind: str, plan: Plan, index: int, step: Turn, random: Random) -> Mistake:
+    target, before = step.target_rad, _neighbour(plan, index, -1)
+    if kind == "not turned":
+        return Mistake(kind, index, _as_well(plan, index, before), angle_rad=before)
+    if kind == "turned to the next point":
+        after = _neighbour(plan, index, 1)
+        return Mistake(kind, index, _as_well(plan, index, after), angle_rad=after)
+    if kind == "wrong direction" and before is not None:
+        stood = 2 * before - target
+        named = _as_well(plan, index, stood)
+        return Mistake(kind, index, (*named, "counts the other way") if _same(before, -before) else named)
+    if kind == "cables swapped":
+        pair = random.choice(list(combinations(CHANNELS, 2)))
+        return Mistake(kind, index, (f"channels {pair[0]} and {pair[1]} are swapped",), cables=pair)
+    if kind in MISREAD:
+        off = random.choice((1, -1)) * MISREAD[kind]
+        named = (f"setting is {kind.removeprefix('misread ')} off",)
+        return Mistake(kind, index, named, angle_rad=target + math.radians(off / 3600))
+    if kind == "misread 360° - x":
+        return Mistake(kind, index, _as_well(plan, index, -target), angle_rad=-target)
+    off_arcsec = random.choice(TYPED if not _same(2 * target, -2 * target) else TYPED[:-1])
+    words = (
+        "360° - x" if off_arcsec is None else {3600: "(1°)", 600: "(10′)", 60: "(1′)"}[abs(int(off_arcsec))]
+    )
+    return Mistake(kind, index, (words,), off_arcsec=off_arcsec)
+
+
+def _as_well(plan: Plan, index: int, stood_rad: float | None) -> tuple[str, ...]:
+    """Return what is true of a head that stands at `stood_rad`: some mistakes leave it at one place."""
+    step = plan.steps[index]
+    assert isinstance(step, Turn)  # noqa: S101
+    assert stood_rad is not None  # noqa: S101
+    before, after = _neighbour(plan, index, -1), _neighbour(plan, index, 1)
+    places = {
+        "was not turned": before,
+        "to the next point": after,
+        "turned the wrong way": None if before is None else 2 * before - step.target_rad,
+        "360° - x": -step.target_rad,
+    }
+    return tuple(phrase for phrase, at in places.items() if at is not None and _same(at, stood_rad))
+
+
+def _neighbour(plan: Plan, index: int, way: int) -> float | None:
+    """The angle of the turn before or after a step, on the same mounting."""
+    i = index + way
+    while 0 <= i < len(plan.steps) and not isinstance(plan.steps[i], Mount):
+        step = plan.steps[i]
+        if isinstance(step, Turn):
+            return step.target_rad
+        i += way
+    return None
+
+
+def _last_mount(plan: Plan, index: int) -> str | None:
+    steps = [step for step in plan.steps[:index] if isinstance(step, Mount)]
+    return steps[-1].installation if steps else None
+
+
+def _same(one: float, other: float) -> bool:
+    return abs(math.remainder(one - other, math.tau)) < math.radians(0.5)
+
+
+class _Hands:
+    """The world as the operator's hands reach it: `work` and `mistake` decide what is really done."""
+
+    def __init__(self, world: World, plan: Plan, mistake: Mistake | None) -> None:
+        self._world = world
+        self._mistake = mistake
+        self._keys = {step.key: index for index, step in enumerate(plan.steps)}
+        self._plan = plan
+        self._pivot_rad: float | None = None
+        self.index = -1
+        self.mended = mistake is None
+        if mistake is not None and mistake.label is not None:
+            model = world.settings.model
+            extra = orientations(model.installations, plan.steps[mistake.index].installation)  # type: ignore[union-attr]
+            model = replace(model, installations={**model.installations, **extra})
+            world.settings = replace(world.settings, model=model)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._world, name)
+
+    def at(self, key: str) -> None:
+        """Say which step asks."""
+        self.index = self._keys.get(key.partition("#")[0], self.index)
+        mistake = self._mistake
+        if mistake is not None and mistake.cables and not self.mended and self.index >= mistake.index:
+            self._swap(mistake.cables)
+
+    def mend(self) -> None:
+        """Put right what is wrong; nothing more goes wrong."""
+        self.mended = True
+        vars(self._world).pop("signal_v", None)
+
+    def _swap(self, cables: Sequence[Channel]) -> None:
+        exchanged = dict(zip(cables, reversed(cables), strict=True))
+        true_v = type(self._world).signal_v
+        world: Any = self._world
+
+        def signal_v(channel: Channel, time_s: float | None = None) -> float:
+            return true_v(world, exchanged.get(channel, channel), time_s)
+
+        world.signal_v = signal_v
+
+    def _wrong_now(self) -> Mistake | None:
+        return (
+            None
+            if self.mended or self._mistake is None or self.index != self._mistake.index
+            else self._mistake
+        )
+
+    def mount(self, installation: str, series: int = 1) -> None:
+        """Mount the block, or not, or otherwise."""
+        wrong = self._wrong_now()
+        if wrong is None:
+            self._world.mount(installation, series)
+        elif wrong.label is not None:
+            self._world.mount(wrong.label, series)
+
+    def turn(self, scale_angle_rad: float, direction: Direction) -> None:
+        """Turn the head, or not, or elsewhere; the wrong way until it is mended."""
+        mistake, stood = self._mistake, self._world.scale_angle_rad
+        if self.mended or mistake is None or self.index < mistake.index:
+            self._world.turn(scale_angle_rad, direction)
+            return
+        if mistake.kind == "wrong direction":
+            self._pivot_rad = stood if self._pivot_rad is None else self._pivot_rad
+            self._world.turn(2 * self._pivot_rad - scale_angle_rad, direction)
+        elif self.index != mistake.index or mistake.angle_rad is None:
+            self._world.turn(scale_angle_rad, direction)
+        elif mistake.kind != "not turned":
+            step = self._plan.steps[mistake.index]
+            assert isinstance(step, Turn)  # noqa: S101
+            self._world.turn(mistake.angle_rad + scale_angle_rad - step.target_rad, direction)
+
+
+class MistakenOperator(ScriptedOperator):
+    """A scripted operator who makes a mistake once; None for one who makes none.
+
+    `asked` are the questions at which the run stopped, `slips_told` prompts that named a slip as typed.
+    """
+
+    def __init__(self, world: World, settings: OperatorSettings, plan: Plan, mistake: Mistake | None) -> None:
+        self._hands = _Hands(world, plan, mistake)
+        super().__init__(self._hands, replace(settings, slip_probability=0.0))  # type: ignore[arg-type]
+        self._mistake = mistake
+        self.asked: list[str] = []
+        self.slips_told: list[str] = []
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Answer; at the question how to go on, mend the mistake and have taken again what it spoilt."""
+        if prompt.id.startswith("halt@"):
+            self.asked.append(prompt.text)
+            self._hands.mend()
+            self._turned_for = None  # what was turned wrongly is turned again
+            kind = self._mistake.kind if self._mistake else ""
+            return Answer(prompt.id, REDO.get(kind, "redo point"))
+        self._hands.at(prompt.id)
+        if "probably" in prompt.text:
+            self.slips_told.append(prompt.text)
+        answer = super().ask(prompt)
+        mistake, attempt = self._mistake, prompt.id.partition("#")[2]
+        if mistake and mistake.kind == "typed" and self._hands.index == mistake.index and attempt == "1":
+            return Answer(prompt.id, self._typed_wrong(answer.text, mistake))
+        return answer
+
+    def _typed_wrong(self, text: str, mistake: Mistake) -> str:
+        degrees, minutes, seconds = (float(part.lstrip("-")) for part in text.split())
+        arcsec = (degrees * 3600 + minutes * 60 + seconds) * (-1 if text.startswith("-") else 1)
+        wrong = 1296000 - arcsec if mistake.off_arcsec is None else arcsec + mistake.off_arcsec
+        return scale_text(float(np.round(wrong, 3)))

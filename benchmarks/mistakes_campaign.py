@@ -1,0 +1,383 @@
+"""Is a run stopped in time when its operator makes a mistake, for the right reason, and never without one?
+
+    python -m benchmarks.mistakes_campaign watcher --runs 200 --clean 3000 --jobs 2 --out watcher.json
+    python -m benchmarks.mistakes_campaign whole --runs 20 --clean 500 --jobs 2 --out whole.json
+
+A scripted operator (`benchmarks.mistaken_operator`) makes one mistake of a kind, the passes in turn. In part
+`watcher` the early warning is fed with what the simulated world would have shown; in part `whole` every run is a
+dry run over the wires of simulated meters, recorded, stopped, gone on with as the question asks, and calibrated.
+Its coefficients are held against those of the same run without the mistake.
+
+Counted is a mistake that is at least 8 standard deviations in a reading: the shift of the three signals against the
+covariance with which the readings before it let the reading be expected. From the first such reading the run must
+stop at it or at the next one. A cause is right where it is the mistake made; where several are named as equally
+likely, one of them is. Prints a table with Wilson intervals (95 %); exit status 1 when a bar is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+from unittest import mock
+
+import numpy as np
+from rich.console import Console
+
+from bench.analysis.calibration import CalibrationError
+from bench.api.calibration import calibration_of
+from bench.api.errors import Refused
+from bench.api.execution import carry_out, new_run, watcher_of
+from bench.api.source import Request, load_sources
+from bench.assembly.simulated import operator_of, world_of
+from bench.base.arrays import Floats
+from bench.files.bench.file import BenchFile, load_bench
+from bench.model import ForwardModel
+from bench.procedure.load import load_procedure
+from bench.procedure.plan import Mount, Plan, Read, Turn, Wait
+from bench.readings.reading import Reading
+from bench.run.events import Event, EventType, Mounted, result_to_json
+from bench.run.folder import Run
+from bench.run.mounting import mount_prompt
+from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
+from drivers.interfaces import CHANNELS
+from drivers.manual.head import ManualHead
+from sim.world.clock import VirtualClock
+
+ROOT: Final = Path(__file__).parents[1]
+CLEAN: Final = "clean"
+LARGE: Final = 8.0
+"""Standard deviations in a reading from which a mistake counts."""
+IN_TIME: Final = 0.99
+RIGHT: Final = 0.95
+METER_NOISE_V: Final = 5e-6
+"""Noise of a mean of ten samples, beside the voltmeter error of the bench file."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    `size` is the largest in standard deviations, None where nothing was fed; `late` how many readings after the
+    first large one the run stopped, None where it did not. `agrees`: coefficients within u of the undisturbed
+    run's, None where nothing was compared; `worst` the largest difference in u.
+    """
+
+    kind: str
+    place: str
+    seed: int
+    size: float | None = None
+    stopped: bool = False
+    late: int | None = None
+    causes: tuple[str, ...] = ()
+    right: bool = False
+    agrees: bool | None = None
+    worst: float | None = None
+    trouble: str = ""
+
+
+@cache
+def setting(procedure: str, bench: str) -> tuple[Plan, BenchFile]:
+    """Return plan and bench file by their shipped names."""
+    plan = load_procedure(ROOT / "procedures" / f"{procedure}.yaml").expand()
+    return plan, load_bench(ROOT / "config" / f"{bench}.yaml")
+
+
+def is_right(causes: Sequence[str], mistake: Mistake) -> bool:
+    """Whether a cause that is named is the mistake that was made."""
+    return any(phrase in cause for cause in causes for phrase in mistake.named)
+
+
+# --- the watcher alone ------------------------------------------------------------------------------
+
+
+class Fed:
+    """A simulated bench without wires: what the operator does on it, and the readings that it shows."""
+
+    def __init__(self, plan: Plan, bench: BenchFile, seed: int, mistake: Mistake | None) -> None:
+        self.world = world_of(bench, ForwardModel(bench.installation_models()), seed, VirtualClock())
+        self.operator = MistakenOperator(self.world, operator_of(bench), plan, mistake)
+        tolerance_rad = bench.instruments.head.tolerance
+        self.head = ManualHead("head", self.operator, tolerance_rad=tolerance_rad)
+        self.angle_rad = 0.0
+
+    def carry_out(self, step: object, key: str) -> Reading | Mounted | None:
+        """Carry a step out; return what it brings."""
+        self.world.begin_step(key)
+        match step:
+            case Mount():
+                self.operator.ask(replace(mount_prompt(step, chamber=False), id=f"{key}#1"))
+                return Mounted(None)
+            case Wait():
+                self.world.clock.sleep(step.duration_s)
+            case Turn():
+                self.angle_rad = self.head.move(step.target_rad, step.direction, key).angle_rad
+            case Read():
+                return self._read(step)
+        return None
+
+    def _read(self, step: Read) -> Reading:
+        noise = self.world.random("noise").normal(0.0, METER_NOISE_V, 3)
+        for channel in CHANNELS:
+            self.world.new_reading(channel)
+        mean = [self.world.signal_v(channel) + float(n) for channel, n in zip(CHANNELS, noise, strict=True)]
+        angle_rad = None if step.target_rad is None else self.angle_rad
+        return Reading(
+            installation=step.installation,
+            series=step.series,
+            pass_number=step.pass_number,
+            point=step.point,
+            angle_deg=None if angle_rad is None else math.degrees(angle_rad),
+            direction=step.direction or 0,
+            time_s=self.world.clock.now_s(),
+            temperature_c=self.world.block_c,
+            mean=(mean[0], mean[1], mean[2]),
+        )
+
+
+def watched(kind: str, number: int, seed: int, procedure: str, bench_name: str) -> Outcome:
+    """Feed the watcher with a run; stop at the first confident sign, or when it would be too late."""
+    plan, bench = setting(procedure, bench_name)
+    run_seed = 1000 * seed + number
+    mistake = None if kind == CLEAN else draw(kind, number, plan, bench.installation_models(), seed)
+    watcher = watcher_of(plan, bench)
+    fed = Fed(plan, bench, run_seed, mistake)
+    undisturbed = Fed(plan, bench, run_seed, None) if mistake else None
+    begun, size, since = False, 0.0, None
+    place = pass_of(plan, mistake.index) if mistake else ""
+    outcome = Outcome(kind, place, run_seed)
+    for index, step in enumerate(plan.steps):
+        begun = begun or (mistake is not None and index == mistake.index)
+        result = fed.carry_out(step, step.key)
+        right = undisturbed.carry_out(step, step.key) if undisturbed else None
+        if isinstance(result, Reading) and isinstance(right, Reading) and begun:
+            here = _size(watcher.foresee(result).covariance[0], result, right)
+            size = max(size, here)
+            since = 0 if since is None and here >= LARGE else None if since is None else since + 1
+        watcher.observe(_done(index, result))
+        signs = watcher.take(result) if isinstance(result, Reading) else ()
+        stop = next((sign for sign in signs if sign.confident), None)
+        if stop is not None:
+            right_cause = mistake is not None and begun and is_right(stop.causes, mistake)
+            return replace(
+                outcome, size=size, stopped=True, late=since or 0, causes=stop.causes, right=right_cause
+            )
+        if (since is not None and since >= 2) or (begun and mistake and _over(plan, mistake, index)):
+            break
+    if kind == "typed" and mistake is not None:  # the prompt asks again, no reading is wrong
+        told = fed.operator.slips_told
+        right_cause = bool(told) and all(mistake.named[0] in text for text in told)
+        return replace(
+            outcome, size=math.inf, stopped=bool(told), late=0, causes=tuple(told), right=right_cause
+        )
+    return replace(outcome, size=size if mistake else None)
+
+
+def _size(covariance: Floats, wrong: Reading, right: Reading) -> float:
+    shift = np.array(wrong.mean) - np.array(right.mean)
+    return float(np.sqrt(shift @ np.linalg.solve(covariance, shift)))
+
+
+def _done(index: int, result: Reading | Mounted | None) -> Event:
+    return Event(index + 1, "", 0.0, EventType.STEP_DONE, {"step": index, **result_to_json(result)})
+
+
+def _over(plan: Plan, mistake: Mistake, index: int) -> bool:
+    """Whether a mistake can show no more: two readings after it, or with its mounting where it lasts."""
+    since = plan.steps[mistake.index + 1 : index + 1]
+    lasts = mistake.cables or mistake.kind in ("not remounted", "remounted wrongly", "wrong direction")
+    if lasts:
+        return any(isinstance(step, Mount) for step in since)
+    return sum(isinstance(step, Read) for step in since) > 2
+
+
+# --- whole runs -------------------------------------------------------------------------------------
+
+
+def whole(kind: str, number: int, seed: int, procedure: str, bench_name: str, folder: Path) -> Outcome:
+    """Carry a whole run out over the wires, with a mistake and without it, and compare what comes of them."""
+    plan, bench = setting(procedure, bench_name)
+    run_seed = 1000 * seed + number
+    mistake = None if kind == CLEAN else draw(kind, number, plan, bench.installation_models(), seed)
+    place = pass_of(plan, mistake.index) if mistake else ""
+    outcome = Outcome(kind, place, run_seed)
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        runs = Path(temporary)
+        run, trouble = _carried_out(runs, "run", plan, run_seed, procedure, bench_name, mistake)
+        outcome = replace(outcome, trouble=trouble)
+        signs = [event.data for event in run.history.events if event.type == EventType.EARLY_SIGN]
+        stops = [data for data in signs if data["confident"]]
+        if mistake is None:
+            return replace(outcome, stopped=bool(stops), causes=tuple(stops[0]["causes"]) if stops else ())
+        typed = mistake.kind == "typed"
+        outcome = replace(outcome, stopped=bool(stops) or typed, size=math.inf if stops or typed else None)
+        if stops:
+            causes = tuple(stops[0]["causes"])
+            reads = [i for i in range(mistake.index, stops[0]["step"] + 1) if isinstance(plan.steps[i], Read)]
+            outcome = replace(outcome, late=len(reads) - 1, causes=causes, right=is_right(causes, mistake))
+        if typed:
+            outcome = replace(outcome, late=0, right=True)
+        again, more = _carried_out(runs, "undisturbed", plan, run_seed, procedure, bench_name, None)
+        worst = _difference(run, again) if not trouble + more else math.inf
+        return replace(outcome, trouble=trouble + more, worst=worst, agrees=worst <= 1.0)
+
+
+def _carried_out(
+    runs: Path, name: str, plan: Plan, seed: int, procedure: str, bench_name: str, mistake: Mistake | None
+) -> tuple[Run, str]:
+    """Carry a dry run out with the mistaken operator; return it and what stopped it for good."""
+    new = new_run(procedure, bench_name, runs, dry_run=True, seed=seed, name=name)
+    make = partial(MistakenOperator, plan=plan, mistake=mistake)
+    trouble = ""
+    with Path("/dev/null").open("w") as nowhere, mock.patch("bench.assembly.served.ScriptedOperator", make):
+        try:
+            carry_out(Run(new.folder), new.record(), None, None, Console(file=nowhere))
+        except Refused as why:
+            trouble = str(why)
+    return Run(new.folder), trouble
+
+
+def _difference(run: Run, undisturbed: Run) -> float:
+    """The largest difference of a coefficient in its standard uncertainty."""
+    vectors = []
+    for one in (run, undisturbed):
+        (source,) = load_sources(Request([str(one.folder)], one.folder.parent))
+        with suppress(CalibrationError):
+            vectors.append(calibration_of(source).calibration)
+    if len(vectors) < 2:
+        return math.inf
+    off = vectors[0].block.vector - vectors[1].block.vector
+    return float(np.max(np.abs(off) / np.sqrt(np.diag(vectors[1].covariance)[:12])))
+
+
+# --- the campaign -----------------------------------------------------------------------------------
+
+
+def wilson(good: int, n: int) -> tuple[float, float]:
+    """Return the Wilson interval of a fraction, 95 %."""
+    if not n:
+        return 0.0, 1.0
+    z, p = 1.959964, good / n
+    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
+
+
+def fraction(good: int, n: int) -> str:
+    """Return a fraction with its interval."""
+    low, high = wilson(good, n)
+    return f"{good}/{n} = {100 * good / max(n, 1):.1f} % ({100 * low:.1f} … {100 * high:.1f})"
+
+
+def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
+    """Return the lines of the table, and whether every bar is kept."""
+    lines, kept = [], True
+    for kind in KINDS:
+        rows = [row for row in outcomes if row.kind == kind]
+        large = [row for row in rows if row.size is not None and row.size >= LARGE]
+        if not rows:
+            continue
+        in_time = sum(row.stopped and row.late is not None and row.late <= 1 for row in large)
+        stopped = [row for row in large if row.stopped]
+        right = sum(row.right for row in stopped)
+        alone = sum(row.right and len(row.causes) == 1 for row in stopped)
+        lines.append(
+            f"{kind:24} {len(rows):5} runs, {len(large):5} of 8 sd; in time {fraction(in_time, len(large))}; "
+            f"right cause {fraction(right, len(stopped))}, {alone} of them alone"
+        )
+        kept &= in_time >= IN_TIME * len(large) and right >= RIGHT * len(stopped)
+        compared = [row for row in rows if row.agrees is not None]
+        if compared:
+            agree = sum(bool(row.agrees) for row in compared)
+            worst = max(row.worst or 0.0 for row in compared)
+            lines.append(
+                f"{'':24} after the redo within u: {fraction(agree, len(compared))}, worst {worst:.2f} u"
+            )
+            kept &= agree == len(compared)
+    clean = [row for row in outcomes if row.kind == CLEAN]
+    if clean:
+        false = sum(row.stopped for row in clean)
+        lines.append(f"{CLEAN:24} {len(clean):5} runs; false stops {fraction(false, len(clean))}")
+        kept &= not false
+    troubles = [row for row in outcomes if row.trouble]
+    lines += [f"TROUBLE {row.kind} seed {row.seed}: {row.trouble}" for row in troubles]
+    return lines, kept and not troubles
+
+
+def campaign(part: str, runs: int, clean: int, seed: int, jobs: int, **options: Any) -> list[Outcome]:
+    """Carry out the runs of a part in so many processes (1: in this one)."""
+    kinds = options.pop("kinds", None) or KINDS
+    tasks = [(kind, number) for number in range(runs) for kind in kinds]
+    tasks += [(CLEAN, number) for number in range(clean)]
+    work = partial(_one, part, seed, options)
+    if jobs == 1:
+        return [work(task) for task in tasks]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(work, tasks, chunksize=4))
+
+
+def _one(part: str, seed: int, given: dict[str, Any], task: tuple[str, int]) -> Outcome:
+    (kind, number), options = task, dict(given)
+    if part == "whole":
+        return whole(kind, number, seed, **options)
+    options.pop("folder", None)
+    return watched(kind, number, seed, **options)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", choices=["watcher", "whole", "table"])
+    parser.add_argument("files", nargs="*", type=Path, help="results of parts, for 'table'")
+    parser.add_argument("--runs", type=int, default=20, help="runs of each kind of mistake")
+    parser.add_argument("--clean", type=int, default=50, help="runs without a mistake")
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, help="(default: all)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--procedure", default="calibration")
+    parser.add_argument("--bench", default="paper-stand")
+    parser.add_argument("--out", type=Path, help="write the outcomes as JSON")
+    parser.add_argument("--list", action="store_true", help="print every run that missed a bar")
+    given = parser.parse_args()
+    if given.part == "table":
+        rows = [row for file in given.files for row in json.loads(file.read_text())]
+        outcomes = [Outcome(**{**row, "causes": tuple(row["causes"])}) for row in rows]
+    else:
+        begun_s = time.monotonic()
+        with tempfile.TemporaryDirectory() as folder:
+            outcomes = campaign(
+                given.part,
+                given.runs,
+                given.clean,
+                given.seed,
+                given.jobs,
+                kinds=given.kinds,
+                procedure=given.procedure,
+                bench_name=given.bench,
+                folder=Path(folder),
+            )
+        took_s = time.monotonic() - begun_s
+        print(f"{len(outcomes)} runs in {took_s:.0f} s with {given.jobs} processes, seed {given.seed}")
+    if given.out:
+        given.out.write_text(json.dumps([asdict(row) for row in outcomes]))
+    lines, kept = table(outcomes)
+    print("\n".join(lines))
+    if given.list:
+        missed = [row for row in outcomes if row.kind == CLEAN and row.stopped]
+        missed += [r for r in outcomes if r.size and r.size >= LARGE and not (r.right and (r.late or 0) <= 1)]
+        missed += [r for r in outcomes if r.agrees is False]
+        print("\n".join(map(str, missed)))
+    return 0 if kept else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

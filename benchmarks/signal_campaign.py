@@ -1,0 +1,371 @@
+"""What do signals do to runs? Promised: the bench is safe, the record whole, the cause told, nothing hangs.
+
+    python -m benchmarks.signal_campaign --runs 240 --seed 1 --jobs 2
+
+Every trial is a run by the command line in a process of its own, on a bench with a motorised head and a chamber
+that is served on loopback in real time. SIGINT, SIGTERM and SIGHUP come single, twice or in bursts, at a moment
+drawn over the whole life of the process, when a phase shows in the record (the way out included: a further signal
+while instruments are made safe, after a signal, an error or the end), or by closing its terminal. In some trials an
+instrument hangs, so that there is an error to leave by or a chamber that cannot be reached. Judged: how long the
+process takes to end; its status; what stands on standard error; the record's chain and state; the head at rest and
+the chamber in standby, or the record says that it goes on conditioning. Exit status 1 when anything is amiss.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import IO, Any, Final
+
+import yaml
+
+from bench.assembly.simulated import simulated_instruments, world_of
+from bench.files.bench.file import load_bench
+from bench.model import ForwardModel
+from bench.run.history import read_history
+from bench.run.manifest import RecordError
+from bench.run.signals import SIGNALS
+from sim.bench import SimulatedBench
+from sim.wires.faults import Fault, FaultKind
+from sim.world.clock import ScaledClock
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+PROGRAM: Final = [sys.executable, "-c", "from bench.cli.program import main; main()"]
+PROCEDURE: Final = """\
+procedure: short
+title: Two points while the chamber conditions
+reading: {samples: 2, nplc: 1, settle: 0 s}
+steps:
+  - temperature: {at: 60 degC, soak: 1 s}
+  - installation:
+      label: 1
+      steps:
+        - turn: {angles: [90 deg, 0 deg]}
+"""
+TIMEOUT: Final = "1 s"
+LIMIT_S: Final = 30.0
+"""A way out takes the timeouts of what does not answer; 30 s with a busy machine in between is none that hangs."""
+
+PHASES: Final = ("start", "run_started", "temperature", "turn", "read", "run_failed", "run_finished", "any")
+"""When the first signal comes: in the start of the process, as soon as the record shows an event (or the beginning
+of a step), at any time of the run and after it."""
+PATTERNS: Final[dict[str, tuple[float, ...]]] = {
+    "single": (0.0,),
+    "double": (0.0, 0.05),
+    "late second": (0.0, 0.4),
+    "burst": (0.0, 0.0, 0.01, 0.02, 0.05, 0.1, 0.2),
+}
+TROUBLES: Final = ("none", "none", "none", "meter hangs", "chamber hangs", "terminal closed")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run: when its signals come, which, and what else is wrong."""
+
+    number: int
+    phase: str
+    pattern: str
+    signals: tuple[int, ...]
+    delay_s: float
+    trouble: str
+
+
+@dataclass
+class Outcome:
+    """What became of a trial: its violations, how long the process took to end, in which state the run was."""
+
+    trial: Trial
+    violations: list[str] = field(default_factory=list)
+    ended_s: float = 0.0
+    state: str = "not begun"
+    too_early: bool = False
+    """Whether the signal came before the program's first line: then Python itself answers Ctrl-C."""
+
+
+def draw(count: int, seed: int) -> list[Trial]:
+    """Draw trials, the phases and patterns in turn."""
+    generator = random.Random(seed)  # noqa: S311 - nothing secret
+    patterns = list(PATTERNS)
+    trials = []
+    for number in range(count):
+        pattern = patterns[number // len(PHASES) % len(patterns)]
+        phase = PHASES[number % len(PHASES)]
+        trouble = "meter hangs" if phase == "run_failed" else generator.choice(TROUBLES)
+        signals = tuple(generator.choice(SIGNALS) for _ in PATTERNS[pattern])
+        delay_s = generator.uniform(0.0, 4.0 if phase == "any" else 0.8 if phase == "start" else 0.2)
+        trials.append(Trial(number, phase, pattern, signals, delay_s, trouble))
+    return trials
+
+
+# --- the bench --------------------------------------------------------------------------------------
+
+
+class Served:
+    """A bench on loopback in real time, its file and procedure in `folder`, and what state it is in."""
+
+    def __init__(self, folder: Path) -> None:
+        data = yaml.safe_load((ROOT / "config/bench-motorised.yaml").read_text(encoding="utf-8"))
+        sections = [
+            *data["instruments"]["voltmeters"],
+            data["instruments"]["head"],
+            data["instruments"]["chamber"],
+        ]
+        data["instruments"]["head"] |= {"speed": "120 deg/s", "settle": "0.2 s"}
+        for section in sections:
+            section["timeout"] = TIMEOUT
+        self.folder = folder
+        self.file = folder / "bench.yaml"
+        (folder / "short.yaml").write_text(PROCEDURE, encoding="utf-8")
+        self.file.write_text(yaml.safe_dump(data), encoding="utf-8")
+        bench = load_bench(self.file)
+        self.world = world_of(bench, ForwardModel(bench.installation_models()), 1, ScaledClock())
+        self.simulated = SimulatedBench(self.world, simulated_instruments(bench, self.world))
+        self._sections = sections
+        self._data = data
+
+    @contextmanager
+    def standing(self) -> Iterator[Served]:
+        """Serve it."""
+        with self.simulated as simulated:
+            names = ["voltmeter.x", "voltmeter.y", "voltmeter.z", "head", "chamber"]
+            for section, name in zip(self._sections, names, strict=True):
+                section["resource"] = simulated.resources[name]
+            self.file.write_text(yaml.safe_dump(self._data), encoding="utf-8")
+            yield self
+
+    def conditions(self) -> bool:
+        """Whether the chamber conditions."""
+        return b"STANDBY" not in (self.simulated.dialects["chamber"].handle(b"MODE?", lambda: False) or b"")
+
+    def reset(self) -> None:
+        """Take all faults away, and bring the chamber to standby."""
+        for faulty in self.simulated.faulty.values():
+            faulty.clear()
+            faulty.device_clear()
+        self.simulated.dialects["chamber"].handle(b"MODE,STANDBY", lambda: False)
+
+    def hang(self, name: str) -> None:
+        """Let an instrument answer nothing any more."""
+        self.simulated.arm(Fault(FaultKind.HANG, at=1, instrument=name))
+
+
+# --- a trial ----------------------------------------------------------------------------------------
+
+
+class Process:
+    """The program under trial; with a `terminal` of its own, which can be closed."""
+
+    def __init__(self, served: Served, name: str, *, terminal: bool) -> None:
+        arguments = ["run", "short.yaml", "--bench", "bench.yaml", "--name", name]
+        self._master = -1
+        self.err = (served.folder / f"{name}.err").open("w+", encoding="utf-8")
+        environment = {**os.environ, "XDG_CACHE_HOME": str(served.folder / "cache"), "PYTHONPATH": str(ROOT)}
+        options: dict[str, Any] = {"cwd": served.folder, "env": environment, "start_new_session": True}
+        if terminal:
+            self._master, slave = os.openpty()
+            # setsid gives the process no terminal: opened as its first one, it becomes the controlling one
+            opened = f"import os; os.open({os.ttyname(slave)!r}, os.O_RDWR); {PROGRAM[2]}"
+            command = [PROGRAM[0], "-c", opened, *arguments]
+            self.popen = subprocess.Popen(  # noqa: S603 - our own program
+                command, stdin=slave, stdout=slave, stderr=self.err, **options
+            )
+            os.close(slave)
+            self._answers: IO[str] | None = None
+            threading.Thread(target=self._answer, daemon=True).start()
+            return
+        self.popen = subprocess.Popen(  # noqa: S603 - our own program
+            [*PROGRAM, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self.err,
+            text=True,
+            **options,
+        )
+        self._answers = self.popen.stdin
+        if self._answers is not None:
+            with suppress(OSError):
+                self._answers.write("yes\n" * 20)
+                self._answers.flush()
+
+    def _answer(self) -> None:
+        """Type yes at the terminal, again and again, and read what stands there."""
+        with suppress(OSError, ValueError):
+            while self.popen.poll() is None:
+                os.write(self._master, b"yes\n")
+                time.sleep(0.1)
+                os.set_blocking(self._master, False)
+                with suppress(BlockingIOError):
+                    os.read(self._master, 1 << 16)
+
+    def close_terminal(self) -> None:
+        """Close the terminal's window: the system sends SIGHUP, and nothing can be written any more."""
+        master, self._master = self._master, -1
+        with suppress(OSError):
+            os.close(master)
+
+    def said(self) -> str:
+        """Return what stands on standard error."""
+        self.err.flush()
+        self.err.seek(0)
+        return self.err.read()
+
+
+def shows(events: Path, phase: str) -> bool:
+    """Whether the record shows a phase: an event, or the beginning of a step."""
+    with suppress(OSError):
+        text = events.read_text(encoding="utf-8", errors="replace")
+        return f'"{phase}"' in text or f"/{phase}" in text
+    return False
+
+
+def carry_out(trial: Trial, served: Served) -> Outcome:
+    """Run, send the signals, and judge."""
+    outcome, name = Outcome(trial), f"trial-{trial.number}"
+    events = served.folder / "runs" / name / "events.jsonl"
+    process = Process(served, name, terminal=trial.trouble == "terminal closed")
+    wait_for_phase(trial, process.popen, events, served)
+    if trial.trouble == "meter hangs" and trial.phase != "run_failed":
+        served.hang("voltmeter.y")
+    elif trial.trouble == "chamber hangs":
+        served.hang("chamber")
+    time.sleep(trial.delay_s)
+    begun_s = time.monotonic()
+    if trial.trouble == "terminal closed":
+        process.close_terminal()
+    send(trial, process.popen)
+    try:
+        process.popen.wait(LIMIT_S)
+    except subprocess.TimeoutExpired:
+        outcome.violations.append(f"hang: {LIMIT_S:g} s after the first signal it still ran")
+        process.popen.kill()
+        process.popen.wait()
+    outcome.ended_s = time.monotonic() - begun_s
+    judge(outcome, process, served, served.folder / "runs" / name)
+    served.reset()
+    return outcome
+
+
+def wait_for_phase(trial: Trial, process: subprocess.Popen[str], events: Path, served: Served) -> None:
+    """Wait until the record shows the phase, or the process has ended; for a run that fails a meter hangs."""
+    if trial.phase == "start":
+        return
+    failing = trial.phase == "run_failed"
+    awaited = "run_started" if trial.phase == "any" else trial.phase
+    while process.poll() is None and not shows(events, awaited):
+        if failing and shows(events, "run_started"):
+            failing = False
+            served.hang("voltmeter.y")
+        time.sleep(0.002)
+
+
+def send(trial: Trial, process: subprocess.Popen[str]) -> None:
+    """Send the signals of a trial as its pattern has it."""
+    begun_s = time.monotonic()
+    for number, at_s in zip(trial.signals, PATTERNS[trial.pattern], strict=True):
+        time.sleep(max(0.0, begun_s + at_s - time.monotonic()))
+        if process.poll() is None:
+            process.send_signal(number)
+
+
+def judge(outcome: Outcome, process: Process, served: Served, run: Path) -> None:
+    """Say what is amiss after a process has ended."""
+    said, status = process.said(), process.popen.returncode
+    wrong = outcome.violations
+    outcome.too_early = "Traceback" in said and "in main" not in said
+    if ("Traceback" in said and not outcome.too_early) or "unexpected" in said:
+        wrong.append(f"not one of our messages: {said.strip()[-600:]}")
+    if served.world.head_rate_rad_s != 0.0:
+        wrong.append("the head still turns")
+    try:
+        history = read_history(run)
+    except RecordError:
+        history = None
+    kinds = [event.type for event in history.events] if history is not None else []
+    if history is not None:
+        outcome.state = str(history.state) if kinds else "not begun"
+        wrong += history.problems
+        if history.torn:
+            wrong.append("the last line of the record is torn")
+    told = json.dumps([event.data for event in history.events[-2:]]) if history is not None else ""
+    if served.conditions() and not ("goes on conditioning at 60" in told and "switch it off by hand" in told):
+        wrong.append(f"the chamber conditions, and nobody is told: {said.strip()[-300:]}")
+    if outcome.state in ("running", "paused"):
+        wrong.append(f"the record says that the run is {outcome.state}: {said.strip()[-300:]}")
+    by_signal = {-number for number in SIGNALS}
+    allowed = {"finished": {0, 2, *by_signal}, "not begun": {2, *by_signal}}.get(outcome.state, {2})
+    if outcome.state in ("interrupted", "failed"):
+        # a signal after the way out, when the message stands there or is printed, ends the process as any other
+        late = len(outcome.trial.signals) > 1 or "go on with 'bench resume" in said
+        allowed = allowed | (by_signal if late else set())
+    if status not in allowed and not outcome.too_early:
+        wrong.append(f"it ended with {status}, the run is {outcome.state}: {said.strip()[-300:]}")
+
+
+# --- the campaign -----------------------------------------------------------------------------------
+
+
+def worker(trials: Sequence[Trial]) -> list[Outcome]:
+    """Carry trials out on one bench, one after the other."""
+    with tempfile.TemporaryDirectory() as folder, Served(Path(folder)).standing() as served:
+        outcomes = []
+        for trial in trials:
+            outcomes.append(carry_out(trial, served))
+            for text in outcomes[-1].violations:
+                print(f"{trial}: {text}", flush=True)
+        return outcomes
+
+
+def campaign(trials: Sequence[Trial], jobs: int) -> list[Outcome]:
+    """Carry trials out on as many benches as there are jobs."""
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        parts = pool.map(worker, [trials[number::jobs] for number in range(jobs)])
+        return [outcome for part in parts for outcome in part]
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """Return the table by phase and by trouble."""
+    lines = [f"{'':>16} {'runs':>5} {'longest way out':>16} {'amiss':>6}  states"]
+    for kind in ("phase", "pattern", "trouble"):
+        for value in sorted({getattr(outcome.trial, kind) for outcome in outcomes}):
+            those = [outcome for outcome in outcomes if getattr(outcome.trial, kind) == value]
+            states = ", ".join(f"{n} {state}" for state, n in Counter(o.state for o in those).most_common())
+            amiss = sum(bool(outcome.violations) for outcome in those)
+            longest = max(outcome.ended_s for outcome in those)
+            lines.append(f"{value:>16} {len(those):>5} {longest:>14.1f} s {amiss:>6}  {states}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Carry the campaign out and print its table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=240)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    outcomes = campaign(draw(options.runs, options.seed), options.jobs)
+    print(table(outcomes))
+    amiss = sum(bool(outcome.violations) for outcome in outcomes)
+    signals = sum(len(outcome.trial.signals) for outcome in outcomes)
+    early = sum(outcome.too_early for outcome in outcomes)
+    print(f"{len(outcomes)} runs, {signals} signals, {early} before the program's first line, {amiss} amiss")
+    sys.exit(1 if amiss else 0)
+
+
+if __name__ == "__main__":
+    main()

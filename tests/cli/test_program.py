@@ -1,0 +1,44 @@
+"""The program as it is started: Ctrl-C at any moment is a line, and hides no other."""
+
+import os
+import signal
+
+import pytest
+
+from bench.api.errors import Refused
+from bench.cli import app, program
+
+
+@pytest.fixture
+def handler():
+    """Give the handler back: the program never hears Ctrl-C again once it has ended."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def interrupted():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_ctrl_c_is_a_line_and_later_ones_are_not_heard(handler, monkeypatch, capsys):
+    monkeypatch.setattr(app, "main", interrupted)
+    with pytest.raises(SystemExit) as end:
+        program.main()
+    interrupted()
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "bench: stopped by Ctrl-C\n"
+
+
+def test_ctrl_c_while_a_refusal_is_on_its_way_does_not_hide_it(monkeypatch, capsys):
+    def refused(*arguments, **options):
+        try:
+            raise Refused("interrupted; 3 readings are kept")
+        finally:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "app", refused)
+    with pytest.raises(SystemExit) as end:
+        app.main(["runs"])
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "bench: interrupted; 3 readings are kept\n"

@@ -1,0 +1,271 @@
+"""Seals: what `show --verify` tells with them, and without, of a record that was changed by who knows how."""
+
+import hashlib
+import json
+import os
+import shutil
+import stat
+from pathlib import Path
+
+import pytest
+
+from bench.run.manifest import EVENTS, MANIFEST
+from tests.support.time_authority import Authority, Served
+
+RECORDS = Path(__file__).parents[1] / "data" / "records"
+NOTHING_OUTSIDE = "nothing outside the folder stands for this"
+
+
+@pytest.fixture
+def run(bench):
+    """A finished run as `runs/one`."""
+    shutil.copytree(RECORDS / "finished", "runs/one")
+    return Path("runs/one")
+
+
+@pytest.fixture
+def key(bench):
+    assert bench("key", "keys/lab.pem")[0] == 0
+    return "keys/lab.pem"
+
+
+def last_line_off(folder):
+    lines = (folder / EVENTS).read_bytes().splitlines(keepends=True)
+    (folder / EVENTS).write_bytes(b"".join(lines[:-1]))
+
+
+def chain_anew(folder):
+    """Change the operator, and compute the whole chain again over it."""
+    manifest = json.loads((folder / MANIFEST).read_text())
+    manifest["operator"] = "Somebody Else"
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    previous = hashlib.sha256((folder / MANIFEST).read_bytes()).hexdigest()
+    written = b""
+    for line in (folder / EVENTS).read_bytes().splitlines():
+        new = json.dumps({**json.loads(line), "prev": previous}, ensure_ascii=False).encode()
+        previous = hashlib.sha256(new).hexdigest()
+        written += new + b"\n"
+    (folder / EVENTS).write_bytes(written)
+
+
+ATTACKS = [last_line_off, chain_anew]
+
+
+def head_of(folder):
+    return hashlib.sha256((folder / EVENTS).read_bytes().splitlines()[-1]).hexdigest()
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_without_anything_outside_the_folder_it_is_said_that_such_changes_do_not_show(bench, run, attack):
+    attack(run)
+    status, out, _ = bench("show", "one", "--verify")
+    assert status == 0
+    assert "chain of hashes whole" in out
+    assert NOTHING_OUTSIDE in out
+    assert "no seal" in out
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_head_noted_elsewhere_betrays_them(bench, run, attack):
+    (result,) = [json.loads(bench("calibrate", "one", "--json", "-")[1])]
+    assert result["record"] == {"events": 142, "head": head_of(run)}
+    head = result["record"]["head"]
+    status, out, _ = bench("show", "one", "--verify", "--head", head)
+    assert status == 0
+    assert "the head is the one given" in out
+    assert NOTHING_OUTSIDE not in out
+    attack(run)
+    status, out, _ = bench("show", "one", "--verify", "--head", head)
+    assert status == 1
+    assert "the head is not the one given" in out
+
+
+def test_a_head_that_is_none_is_refused(bench, run):
+    assert bench("show", "one", "--head", "12ab")[2].startswith("bench: --head 12ab: a head is the SHA-256")
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_an_unsigned_seal_shows_changes_of_who_forgot_it_and_claims_no_more(bench, run, attack):
+    assert bench("seal", "one")[0] == 0
+    status, out, _ = bench("show", "one", "--verify")
+    assert status == 0
+    assert "not signed: who can write the folder can write such a seal" in out
+    assert NOTHING_OUTSIDE in out
+    attack(run)
+    status, out, _ = bench("show", "one", "--verify")
+    assert status == 1
+    assert "the record is not what was sealed" in out
+    status, _, err = bench("seal", "one")
+    assert status == 2
+    assert "it is not sealed anew" in err
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_signed_seal_says_by_whom(bench, run, key, attack):
+    assert bench("seal", "one", "--key", key)[0] == 0
+    assert "whose that is, --key tells" in bench("show", "one", "--verify")[1]
+    status, out, _ = bench("show", "one", "--verify", "--key", f"{key}.pub")
+    assert status == 0
+    assert "signed with the key given" in out
+    assert NOTHING_OUTSIDE not in out
+    attack(run)
+    assert bench("show", "one", "--key", f"{key}.pub")[0] == 1
+    (run / "seal.json").unlink()
+    assert bench("seal", "one")[0] == (0 if attack is chain_anew else 2)  # its end is missing: it goes on
+    status, out, _ = bench("show", "one", "--key", f"{key}.pub")
+    assert status == 1
+    assert "the key given says nothing" in out or "no seal that a key" in out
+
+
+def test_another_key_and_a_changed_seal_are_told(bench, run, key):
+    assert bench("key", "keys/other.pem")[0] == 0
+    assert bench("seal", "one", "--key", "keys/other.pem")[0] == 0
+    status, out, _ = bench("show", "one", "--key", f"{key}.pub")
+    assert status == 1
+    assert "signed with another key than the one given" in out
+    seal = json.loads((run / "seal.json").read_text())
+    seal["sealed"] = "2020-01-01T00:00:00+00:00"
+    (run / "seal.json").write_text(json.dumps(seal))
+    status, out, _ = bench("show", "one", "--key", "keys/other.pem.pub")
+    assert status == 1
+    assert "the signature is not one of this seal" in out
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"format": 1}', "[" * 100_000, '{"format": 1, "files": {}, "events": Infinity}']
+)
+def test_a_damaged_seal_is_told(bench, run, text):
+    (run / "seal.json").write_text(text)
+    status, out, _ = bench("show", "one", "--verify")
+    assert status == 1
+    assert "seal.json: damaged, not a seal" in out
+
+
+def test_a_run_that_has_not_ended_is_not_sealed(bench):
+    shutil.copytree(RECORDS / "interrupted", "runs/open")
+    status, _, err = bench("seal", "open")
+    assert status == 2
+    assert "only a run that has ended can be sealed, and this one is interrupted" in err
+    assert not Path("runs/open/seal.json").exists()
+
+
+# --- keys -------------------------------------------------------------------------------------------
+
+
+def test_a_key_is_for_its_owner_alone_and_never_written_over(bench, key):
+    assert stat.S_IMODE(Path(key).stat().st_mode) == 0o600
+    assert stat.S_IMODE(Path("keys").stat().st_mode) == 0o700
+    assert b"BEGIN PRIVATE KEY" in Path(key).read_bytes()
+    assert b"BEGIN PUBLIC KEY" in Path(f"{key}.pub").read_bytes()
+    before = Path(key).read_bytes()
+    assert "never written over" in bench("key", key)[2]
+    assert Path(key).read_bytes() == before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes of files are POSIX's")
+@pytest.mark.parametrize(
+    ("name", "mode", "words"), [("keys/lab.pem", 0o640, "chmod 600"), ("keys", 0o755, "chmod 700")]
+)
+def test_a_key_that_others_may_use_is_refused(bench, run, key, name, mode, words):
+    Path(name).chmod(mode)
+    status, _, err = bench("seal", "one", "--key", key)
+    assert status == 2
+    assert words in err
+    assert not (run / "seal.json").exists()
+
+
+def test_a_key_with_a_passphrase_is_used_with_it_alone(bench, run):
+    assert bench("key", "keys/lab.pem", "--passphrase", stdin="word\nother\n")[0] == 2
+    assert bench("key", "keys/lab.pem", "--passphrase", stdin="word\nword\n")[0] == 0
+    assert b"ENCRYPTED" in Path("keys/lab.pem").read_bytes()
+    assert "another passphrase" in bench("seal", "one", "--key", "keys/lab.pem", stdin="wrong\n")[2]
+    assert bench("seal", "one", "--key", "keys/lab.pem", stdin="word\n")[0] == 0
+    assert bench("show", "one", "--key", "keys/lab.pem.pub")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["", "no key", "-----BEGIN PUBLIC KEY-----\nAAAA\n-----END PUBLIC KEY-----\n"]
+)
+def test_what_is_no_key_is_told(bench, run, key, text):
+    Path("keys/none.pem").write_text(text)
+    Path("keys/none.pem").chmod(0o600)
+    assert "not a private key" in bench("seal", "one", "--key", "keys/none.pem")[2]
+    assert "not a public key" in bench("show", "one", "--key", "keys/none.pem")[2]
+
+
+# --- time stamps ------------------------------------------------------------------------------------
+
+
+def test_a_time_stamp_says_not_later_than_when(bench, run, key):
+    authority = Authority()
+    Path("authority.pem").write_bytes(authority.pem())
+    Path("other.pem").write_bytes(Authority().pem())
+    with Served(authority) as served:
+        assert bench("seal", "one", "--key", key, "--timestamp", served.url)[0] == 0
+    ((kind, _),) = authority.requests
+    assert kind == "application/timestamp-query"
+    assert "who stands for it, --authority FILE tells" in bench("show", "one", "--verify")[1]
+    status, out, _ = bench("show", "one", "--verify", "--authority", "authority.pem")
+    assert status == 0
+    assert "the record is not later than 2026-03-01T12:00:00+00:00" in out
+    assert NOTHING_OUTSIDE not in out
+    status, out, _ = bench("show", "one", "--authority", "other.pem")
+    assert status == 1
+    assert "not by the authority in other.pem" in out
+    assert len(authority.requests) == 1  # to verify asks nobody
+
+
+def test_a_time_stamp_of_something_else_is_told(bench, run, key):
+    with Served(Authority()) as served:
+        bench("seal", "one", "--timestamp", served.url)
+    stamp = json.loads((run / "seal.json").read_text())["time_stamp"]
+    bench("seal", "one", "--key", key)
+    seal = json.loads((run / "seal.json").read_text())
+    (run / "seal.json").write_text(json.dumps({**seal, "time_stamp": stamp}))
+    status, out, _ = bench("show", "one", "--verify")
+    assert status == 1
+    assert "its time stamp is not one of this seal" in out
+
+
+def of_before(authority):
+    """Answers for the request of another."""
+    with Served(authority) as served:
+        from bench.run.timestamp import ask_time_stamp
+
+        earlier = ask_time_stamp(served.url, b"another message")
+    return lambda request: earlier
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        (lambda authority: lambda request: b"<html>", "answered with something else"),
+        (lambda authority: lambda request: b"", "answered with something else"),
+        (of_before, "answered for something else"),
+    ],
+)
+def test_an_answer_that_is_no_time_stamp_leaves_the_seal_without(bench, run, answer, why):
+    authority = Authority()
+    authority.answer = answer(authority)
+    with Served(authority) as served:
+        status, _, err = bench("seal", "one", "--timestamp", served.url)
+    assert status == 1
+    assert why in err
+    assert "the seal stands without it" in err
+    assert bench("show", "one", "--verify")[0] == 0
+
+
+def test_a_server_that_is_not_there_leaves_the_seal_without(bench, run):
+    with Served(Authority()) as served:
+        pass
+    status, _, err = bench("seal", "one", "--timestamp", served.url)
+    assert status == 1
+    assert err.count("\n") == 1
+    assert "no time stamp" in err
+    assert (run / "seal.json").exists()
+
+
+@pytest.mark.parametrize("url", ["file:///etc/passwd", "stamps.example", "http://"])
+def test_what_is_no_server_is_refused(bench, run, url):
+    assert "not the address of a server" in bench("seal", "one", "--timestamp", url)[2]
+    assert not (run / "seal.json").exists()
