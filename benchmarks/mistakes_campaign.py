@@ -51,6 +51,7 @@ from bench.readings.reading import Reading
 from bench.run.events import Event, EventType, Mounted, result_to_json
 from bench.run.folder import Run
 from bench.run.mounting import mount_prompt
+from bench.run.watch.sign import MOST_TOLD
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
 from drivers.interfaces import CHANNELS
 from drivers.manual.head import ManualHead
@@ -98,8 +99,8 @@ def setting(procedure: str, bench: str) -> tuple[Plan, BenchFile]:
 
 
 def is_right(causes: Sequence[str], mistake: Mistake) -> bool:
-    """Whether a cause that is named is the mistake that was made."""
-    return any(phrase in cause for cause in causes for phrase in mistake.named)
+    """Whether a cause that the sentence names is the mistake that was made."""
+    return any(phrase in cause for cause in causes[:MOST_TOLD] for phrase in mistake.named)
 
 
 # --- the watcher alone ------------------------------------------------------------------------------

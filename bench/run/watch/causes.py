@@ -20,6 +20,7 @@ from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judg
 from bench.run.watch.suppositions import (
     CABLED,
     CABLINGS,
+    FIRST_ORIENTATION,
     FREE,
     SAT_RIGHT,
     UNLIKELY,
@@ -212,7 +213,8 @@ class Inquiry:
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
-        return known | {at: Supposed(at, Kind.ORIENTATION, UNLIKELY[Kind.ORIENTATION]) for at in otherwise}
+        unlikely = UNLIKELY[Kind.ORIENTATION] + (FIRST_ORIENTATION if sighting.sat_before is None else 0.0)
+        return known | {at: Supposed(at, Kind.ORIENTATION, unlikely) for at in otherwise}
 
     def _installations(self, label: str) -> list[str]:
         everywhere = {at for several in self.otherwise.values() for at in several}

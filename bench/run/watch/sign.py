@@ -11,7 +11,7 @@ from bench.base.arrays import CHANNELS
 from bench.run.watch.expectation import Judgement
 
 MOST_TOLD: Final = 3
-"""With more causes than that, equally likely, there is no telling yet."""
+"""With more causes than that, equally likely, there is no telling yet; so many are named."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ def why(causes: Sequence[str], at_fault: str | None) -> str:
     if not causes:
         return "no single mistake that is known explains it"
     if len(causes) > MOST_TOLD:
-        return f"{len(causes)} mistakes explain it so far, one of them: {causes[0]}"
+        told = " or ".join(causes[:MOST_TOLD])
+        return f"{len(causes)} mistakes explain it so far, the likeliest: {told}"
     return f"probable cause: {' or '.join(causes)}"
 
 

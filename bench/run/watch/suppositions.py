@@ -44,8 +44,11 @@ LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind
 FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
 """Shifts of whatever size fits: no rivals of a mistake of one certain size that fits better."""
 
-UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 8.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
+UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
 """What a kind costs beforehand (-2 ln of its odds against the plainest ones)."""
+
+FIRST_ORIENTATION: Final = 3.0
+"""What it costs more in the first mounting, where nothing known of the block tells it from the cables."""
 
 OTHER_INSTALLATION: Final = 4.0
 """What an installation costs beforehand in which the block did not sit before."""
