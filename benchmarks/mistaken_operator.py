@@ -296,4 +296,4 @@ class MistakenOperator(ScriptedOperator):
         degrees, minutes, seconds = (float(part.lstrip("-")) for part in text.split())
         arcsec = (degrees * 3600 + minutes * 60 + seconds) * (-1 if text.startswith("-") else 1)
         wrong = 1296000 - arcsec if mistake.off_arcsec is None else arcsec + mistake.off_arcsec
-        return scale_text(float(np.round(wrong, 3)))
+        return scale_text(float(np.round(wrong % 1296000, 3)))

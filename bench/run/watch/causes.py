@@ -22,6 +22,8 @@ from bench.run.watch.suppositions import (
     CABLINGS,
     FIRST_ORIENTATION,
     FREE,
+    REVERSALS,
+    REVERSED_MEANWHILE,
     SAT_RIGHT,
     UNLIKELY,
     Elsewhere,
@@ -150,7 +152,13 @@ class Inquiry:
 
     def _cabling_now(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         signals = np.stack(list(CABLINGS.values())) @ sighting.signal_v
-        return self._fitting(CABLED, state.judge(signals, sighting.pose, self.noise), before)
+        supposed = [
+            replace(one, unlikely=REVERSED_MEANWHILE)
+            if one.text in REVERSALS and sighting.pivot_rad is not None
+            else one
+            for one in CABLED
+        ]
+        return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """The block in another installation, or the head elsewhere than its scale was read."""

@@ -296,15 +296,18 @@ class EarlyWarning:
         of_reading = inquiry.of_reading(sighting, self._state, replay.before)
         causes = likeliest([*of_reading, *of_run])
         self._in_a_row += 1
-        chi2, at_fault = float(judged.chi2[0]), None
+        chi2, off_v = float(judged.chi2[0]), float(np.linalg.norm(judged.residual[0]))
+        at_fault = None
         if len(causes) == 1 and causes[0].earlier is not None:
             wrong = self._history[causes[0].earlier]
             causes = self._blame_earlier(causes[0].earlier, replay, causes[0].member)
             at_fault = wrong
-            confident = wrong.row.mounts == sighting.row.mounts and self._confidence.earlier(chi2, causes)
+            confident = wrong.row.mounts == sighting.row.mounts and self._confidence.earlier(
+                chi2, off_v, causes
+            )
         else:
             causes = self._lasting(sighting, of_reading) or causes
-            confident = self._confidence.misfits(sighting, chi2, causes, self._in_a_row)
+            confident = self._confidence.misfits(sighting, chi2, off_v, causes, self._in_a_row)
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)

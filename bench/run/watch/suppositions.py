@@ -53,6 +53,10 @@ FIRST_ORIENTATION: Final = 3.0
 OTHER_INSTALLATION: Final = 4.0
 """What an installation costs beforehand in which the block did not sit before."""
 
+REVERSED_MEANWHILE: Final = 7.0
+"""What it costs that wires of one channel were reversed after readings of the mounting that fitted: a head that was
+not turned is the plainer cause where the signal of a channel changes its sign only."""
+
 SAT_RIGHT: Final = 12.0
 """What it costs that a block sits otherwise for one reading, after others of its mounting fitted."""
 
@@ -90,6 +94,9 @@ def _said(wiring: Wiring) -> str:
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
 """What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
+
+REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
+"""Those of them that are one channel's."""
 
 EXCHANGED_IN_TURN: Final = 4.0
 """What it costs beforehand that all three cables are wrong, which looks like a block that sits otherwise."""
