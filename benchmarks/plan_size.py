@@ -1,6 +1,7 @@
 """What a plan of 100,000 steps costs: CPU time and memory to expand, hash, list and check it.
 
-Each in a process of its own, with the bare import of the program beside it:
+Made by a few repeats, by a file that says each step, by files that include one another twice; each in a process
+of its own, with the bare import of the program beside it:
 
     python -m benchmarks.plan_size
 """
@@ -11,6 +12,7 @@ import multiprocessing
 import resource
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 STEPS = 100_000
@@ -37,7 +39,28 @@ STEPS_OF_A_PASS = 4 + 9 * 3
 REPEATS = STEPS // 3 // STEPS_OF_A_PASS
 
 
-def measure(with_plan: bool) -> None:
+def repeats(folder: Path) -> None:
+    """A few lines, many repeats."""
+    (folder / "long.yaml").write_text(PROCEDURE % REPEATS, encoding="utf-8")
+
+
+def every_step(folder: Path) -> None:
+    """A line for each step."""
+    text = "procedure: long\nsteps:\n" + "- wait: {for: 1 s}\n" * STEPS
+    (folder / "long.yaml").write_text(text, encoding="utf-8")
+
+
+def doubled(folder: Path) -> None:
+    """Seventeen files, each of which includes the next one twice, but for the first."""
+    for k in range(16):
+        step = f"{{include: {k + 1}.yaml}}"
+        (folder / f"{k}.yaml").write_text(f"steps: [{step}, {step}]\n", encoding="utf-8")
+    (folder / "16.yaml").write_text("steps: [{wait: {for: 1 s}}]\n", encoding="utf-8")
+    text = "procedure: long\nsteps: [{include: 0.yaml}, {include: 1.yaml}]\n"
+    (folder / "long.yaml").write_text(text, encoding="utf-8")
+
+
+def measure(write: Callable[[Path], None] | None) -> None:
     from bench.files.bench.file import load_bench
     from bench.files.shipped import find_bench
     from bench.procedure.check import check, disk_needed_bytes, operator_actions
@@ -46,10 +69,10 @@ def measure(with_plan: bool) -> None:
 
     bench = load_bench(find_bench("paper-stand"))
     begun = time.process_time()
-    if with_plan:
+    if write is not None:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "long.yaml"
-            file.write_text(PROCEDURE % REPEATS, encoding="utf-8")
+            write(Path(folder))
             plan = load_procedure(file).expand()
         lap("expanded", begun, f"{len(plan.steps)} steps")
         lap("hashed", begun, plan.hash[:12])
@@ -72,8 +95,9 @@ def lap(what: str, begun: float, note: str) -> None:
 def main() -> None:
     print(f"{'':10} {'CPU / s':>8} {'peak / MB':>10}")
     context = multiprocessing.get_context("spawn")
-    for with_plan in (False, True):
-        process = context.Process(target=measure, args=(with_plan,))
+    for write in (None, repeats, every_step, doubled):
+        print(f"{write.__doc__ if write else 'Nothing.'}")
+        process = context.Process(target=measure, args=(write,))
         process.start()
         process.join()
 

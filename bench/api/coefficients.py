@@ -61,6 +61,9 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
         order = [list(data["order"]).index(name) for name in COEFFICIENTS]
         rows = [[_number(entry) for entry in row] for row in data["covariance"]]
+        size = len(COEFFICIENTS)
+        if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
+            raise ValueError(f"it has not {size} coefficients")
         covariance = np.array(rows)[np.ix_(order, order)]
         noise, g_m_s2 = _number(data["noise"]["reading_v"]), _number(data["g_m_s2"])
         theirs, per, simulated = data["unit"], data.get("per", "g"), data.get("simulated", False)
@@ -71,9 +74,6 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         ) from error
     except (ValueError, TypeError, IndexError, AttributeError) as error:
         raise Refused(f"{where}: not a result of 'bench calibrate --json' ({error})") from error
-    size = len(COEFFICIENTS)
-    if len(data["order"]) != size or len(rows) != size or any(len(row) != size for row in rows):
-        raise Refused(f"{where}: not a result of 'bench calibrate --json': it has not {size} coefficients")
     if not isinstance(theirs, str) or per != "g" or not isinstance(simulated, bool):
         raise Refused(f"{where}: not a result of 'bench calibrate --json': see its unit, per and simulated")
     if noise < 0 or g_m_s2 <= 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Final
 
@@ -50,6 +51,8 @@ def problem_with(prompt: Prompt, text: str) -> str:
 
 def _problem_with_number(prompt: Prompt, text: str) -> str:
     try:
+        if "_" in text:
+            raise ValueError
         value = float(text.replace(",", ".").removesuffix(prompt.unit).strip())
     except ValueError:
         return f"a number{' in ' + prompt.unit if prompt.unit else ''} is wanted, not {text!r}"
@@ -57,7 +60,7 @@ def _problem_with_number(prompt: Prompt, text: str) -> str:
         return f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}".rstrip()
     if prompt.maximum is not None and value > prompt.maximum:
         return f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}".rstrip()
-    return "" if value == value else "a number is wanted"  # noqa: PLR0124 - NaN is not equal to itself
+    return "" if math.isfinite(value) else "a number is wanted"
 
 
 def confirm(person: Person, prompt: Prompt) -> None:

@@ -1,0 +1,337 @@
+"""Inputs of the fuzz campaign, each made from its kind and random numbers: files, commands, what to refuse.
+
+A good part of the inputs is a good one with a single fault that no reading of the formats allows (`refuse` says
+which); the rest are spoilt at random, in their numbers, their structure or their bytes, and may be taken or not.
+"""
+
+from __future__ import annotations
+
+import copy
+import csv
+import io
+import json
+import random
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.forms import load_document
+from benchmarks.fuzz_spoiling import (
+    WEIRD,
+    as_yaml,
+    at,
+    faulty_yaml,
+    other_numbers,
+    spoilt_bytes,
+    spoilt_tree,
+)
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+
+
+@dataclass
+class Case:
+    """One input: files to be written, commands to be given with an input stream, and why it must be refused."""
+
+    commands: list[list[str]]
+    files: dict[str, bytes] = field(default_factory=dict)
+    stdin: bytes = b""
+    refuse: str = ""
+    record: bool = False
+
+
+# --- readings, models, results ------------------------------------------------------------------------
+
+
+@cache
+def readings() -> list[list[str]]:
+    """Return a good readings file, row by row, the header first: two passes of a run of the tests."""
+    rng = np.random.default_rng(1)
+    names = ["installation", "pass", "point", "angle_deg", "direction", "ux_v", "uy_v", "uz_v"]
+    rows = [[*names, "note"]]
+    with (ROOT / "tests/data/records/readings.csv").open(encoding="utf-8", newline="") as file:
+        taken = list(csv.DictReader(file))
+    for number in "12":
+        for row in taken:
+            if row["installation"] != "V" or number == "1":
+                signals = [f"{float(row[name]) + rng.normal(0, 1e-6):.7f}" for name in names[5:]]
+                rows.append([row["installation"], number, *(row[n] for n in names[2:5]), *signals, "a"])
+    return rows
+
+
+def as_csv(rows: Sequence[Sequence[str]]) -> bytes:
+    """Return rows as a CSV file."""
+    out = io.StringIO()
+    csv.writer(out).writerows(rows)
+    return out.getvalue().encode("utf-8", "surrogatepass")
+
+
+def csv_case(rng: random.Random) -> Case:
+    """Readings: to be calibrated, verified, imported."""
+    rows = [list(row) for row in readings()]
+    row, column = rng.randrange(1, len(rows)), rng.randrange(9)
+    refuse = ""
+    match rng.randrange(9):
+        case 0:
+            rows[row][rng.choice((5, 6, 7))] = word = rng.choice(
+                ("nan", "inf", "9.9e37", "-9.91E37", "", "1,5", "x", "0x1", "1_0")
+            )
+            refuse = f"a signal {word!r} in row {row}"
+        case 1:
+            rows[row] += ["1"] if rng.random() < 0.5 else []
+            rows[row] = rows[row] if len(rows[row]) > 9 else rows[row][: rng.randrange(1, 8)]
+            refuse = "a wrong count of cells"
+        case 2:
+            rows.append(list(rows[row]))
+            refuse = "a reading that stands twice"
+        case 3:
+            column = rng.choice((0, 1, 2, 3))
+            rows[row][column] = word = rng.choice(("nan", "721", "é", "1e10", "x", "-inf"))
+            refuse = "" if word == "721" and column in {1, 2} else f"{word} in row {row}"
+        case 4:
+            column = rng.choice((0, 1, 2, 3, 5, 6, 7))
+            rows[0][column] = rng.choice(
+                [w for w in ("x", "angle_deg", "ux_v", "ux_mv") if w != rows[0][column]]
+            )
+            refuse = "a column that lacks or stands twice"
+        case 5 | 6:
+            rows[row if rng.random() < 0.7 else 0][column] = rng.choice(WEIRD)
+        case _:
+            pass
+    data = as_csv(rows)
+    if refuse == "" and rng.random() < 0.6:
+        data = spoilt_bytes(rng, data)
+    command = rng.choice(
+        (
+            ["calibrate", "r.csv", "--json", "-"],
+            ["calibrate", "r.csv", "--json", "-"],
+            ["verify", "r.csv"],
+            ["import", "r.csv", "--name", "r"],
+        )
+    )
+    commands = [command]
+    if not refuse and rng.random() < 0.2:
+        commands[0] = ["calibrate", "r.csv", "--skip-bad-rows", "--json", "-"]
+    if command[0] == "import" and not refuse:
+        commands += [["export", "r", "--csv", "-"], ["show", "r"]]
+    return Case(commands, {"r.csv": data}, refuse=refuse)
+
+
+@cache
+def result() -> dict[str, Any]:
+    """Return a good result of `calibrate --json`, that of the same run, as far as others read it."""
+    whole = json.loads((ROOT / "tests/data/records/calibrate.json").read_text(encoding="utf-8"))
+    names = ("unit", "g_m_s2", "per", "made_at", "simulated", "coefficients", "order", "covariance", "noise")
+    kept = {name: whole[name] for name in names}
+    return {**kept, "g_m_s2": 9.81, "simulated": False, "unit_under_test": {"type": "T", "serial": "1"}}
+
+
+def json_case(rng: random.Random) -> Case:
+    """A result of another day: to be verified with, to be compared."""
+    tree, refuse = copy.deepcopy(result()), ""
+    i, j = rng.sample(range(12), 2)
+    c = tree["covariance"]
+    data = b""
+    match rng.randrange(10):
+        case 0:
+            c[i][j] += 10 ** rng.uniform(-6, 3) * (c[i][i] * c[j][j]) ** 0.5
+            refuse = "a covariance that is not symmetric"
+        case 1:
+            c[i][j] = c[j][i] = rng.choice((1.01, -1.5, 1e6)) * (c[i][i] * c[j][j]) ** 0.5
+            refuse = "a correlation beyond 1"
+        case 2:
+            c[i][i] = rng.choice((-c[i][i], 0.0, "1e-9", True, None, [1e-9], 10**400))
+            refuse = "a variance that is none"
+        case 3:
+            direction = np.random.default_rng(rng.randrange(1000)).normal(size=12)
+            whole = np.array(c)
+            along = direction / np.sqrt(direction @ direction)
+            tree["covariance"] = (whole - 1.1 * (along @ whole @ along) * np.outer(along, along)).tolist()
+            refuse = "a combination of negative variance"
+        case 4:
+            where = rng.choice(
+                (
+                    ("g_m_s2",),
+                    ("noise", "reading_v"),
+                    ("coefficients", "Kxx", "value"),
+                    ("unit",),
+                    ("order", 3),
+                )
+            )
+            at(tree, where[:-1])[where[-1]] = rng.choice(
+                (None, "x", True, [], -1e9 if where[0] in {"g_m_s2", "noise"} else {})
+            )
+            refuse = f"nonsense at {where}"
+        case 5:
+            word = rng.choice((b"NaN", b"Infinity", b"-Infinity", b"1e999"))
+            data = json.dumps(tree).encode().replace(b"9.81", word, 1)
+            refuse = f"{word.decode()} in it"
+        case 6:
+            data = json.dumps(tree).encode().replace(b'"unit": "V"', b'"unit": "V", "unit": "V"', 1)
+            refuse = "a key that stands twice"
+        case 7:
+            data = json.dumps(spoilt_tree(rng, tree), ensure_ascii=rng.random() < 0.5).encode(
+                "utf-8", "surrogatepass"
+            )
+        case _:
+            data = spoilt_bytes(rng, json.dumps(tree).encode())
+    files = {
+        "c.json": data or json.dumps(tree).encode(),
+        "d.json": json.dumps(result()).encode(),
+        "r.csv": as_csv(readings()),
+    }
+    commands = [
+        ["verify", "r.csv", "--coefficients", "c.json", "--json", "-"],
+        ["compare", "c.json", "d.json", "--json", "-"],
+    ]
+    return Case([rng.choice(commands)], files, refuse=refuse)
+
+
+# --- YAML -----------------------------------------------------------------------------------------------
+
+
+@cache
+def shipped(folder: str) -> list[Any]:
+    """Return the shipped files of a folder as trees of texts."""
+    return [load_document(file).data for file in sorted((ROOT / folder).glob("*.yaml"))]
+
+
+def _yaml_case(rng: random.Random, tree: Any) -> tuple[bytes, str]:
+    match rng.randrange(6):
+        case 0 | 1:
+            return faulty_yaml(rng, tree)
+        case 2 | 3:
+            return as_yaml(other_numbers(rng, tree)), ""
+        case 4:
+            return as_yaml(spoilt_tree(rng, tree)), ""
+        case _:
+            return spoilt_bytes(rng, as_yaml(tree)), ""
+
+
+def bench_case(rng: random.Random) -> Case:
+    """A bench file: to be checked with a procedure."""
+    data, refuse = _yaml_case(rng, rng.choice(shipped("config")))
+    return Case([["check", "quick", "--bench", "b.yaml"]], {"b.yaml": data}, refuse=refuse)
+
+
+def procedure_case(rng: random.Random) -> Case:
+    """A procedure, which may include others: to be checked."""
+    tree = rng.choice(shipped("procedures"))
+    data, refuse = _yaml_case(rng, tree)
+    files = {"p.yaml": data}
+    if rng.random() < 0.2:
+        part = {"steps": tree["steps"]}
+        inside, refuse = _yaml_case(rng, part)
+        files = {
+            "p.yaml": as_yaml({**tree, "steps": [{"include": rng.choice(("q.yaml", "./q.yaml"))}]}),
+            "q.yaml": inside,
+        }
+    elif rng.random() < 0.05:
+        name = rng.choice(
+            ("/etc/passwd", "/dev/zero", "p.yaml", ".", "", "a\0.yaml", "x" * 400 + ".yaml", "\ud800.yaml")
+        )
+        files = {"p.yaml": as_yaml({**tree, "steps": [{"include": name}]})}
+        refuse = f"include: {name!r}"
+    return Case(
+        [["check", "p.yaml", "--bench", rng.choice(("paper-stand", "bench-lan", "bench-motorised"))]],
+        files,
+        refuse=refuse,
+    )
+
+
+MODEL: Final = {
+    "model_file": "1", "name": "m", "parent": "paper",
+    "effects": [
+        {"name": "quadratic_nonlinearity", "channels": ["x", "y"],
+        "parameters": {"K2": {"value": "60 ug/g^2", "u": "4 ug/g^2"}}},
+        {"name": "scale_asymmetry",
+         "parameters": {"Kabs": {"x": {"value": "1 ug/g", "u": "1 ug/g"}, "z": "2 ug/g"}}},
+    ],
+}  # fmt: skip
+
+
+def model_case(rng: random.Random) -> Case:
+    """A model file: to be calibrated with."""
+    data, refuse = _yaml_case(rng, MODEL)
+    return Case(
+        [["calibrate", "r.csv", "--model", "m.yaml", "--json", "-"]],
+        {"m.yaml": data, "r.csv": as_csv(readings())},
+        refuse=refuse,
+    )
+
+
+# --- records, names ------------------------------------------------------------------------------------
+
+
+def record_case(rng: random.Random) -> Case:
+    """A run folder with one of its files spoilt: shown, listed, evaluated, gone on with. The trial spoils it."""
+    commands = [["show", "run", "--verify"], ["show", "run"], ["runs"], ["calibrate", "run"],
+                ["export", "run", "--csv", "-"],
+                ["resume", "run"], ["abort", "run"], ["report", "run"]]  # fmt: skip
+    return Case(rng.sample(commands, 2), record=True)
+
+
+NAMES: Final = (
+    *WEIRD,
+    "-x",
+    "--help",
+    ".",
+    "..",
+    "a/b",
+    "a" * 101,
+    "ä",
+    "run\n",
+    " run",
+    "\udcff",
+    "a\ud800",
+    "CON.txt",
+    "~",
+    "$HOME",
+    "run.json",
+)
+
+
+def name_case(rng: random.Random) -> Case:
+    """A name of a run, an operator or a path that nobody expects."""
+    name = rng.choice(NAMES) if rng.random() < 0.7 else rng.choice(NAMES) + rng.choice(NAMES)
+    files = {"r.csv": as_csv(readings()), "p.yaml": b"procedure: p\nsteps: [{wait: {for: 1 s}}]\n"}
+    run = ["run", "p.yaml", "--dry-run", "--name", "run"]
+    commands = rng.choice((
+        [["import", "r.csv", "--name", name], ["runs"]],
+        [[*run, "--operator", name], ["show", "run"], ["runs"]],
+        [["calibrate", name]], [["calibrate", "r.csv", "--bench", name]], [["check", name]],
+        [["show", name, "--runs", name]],
+        [["calibrate", "r.csv", "--json", name]], [["calibrate", "r.csv", "--model", name]], [["verify",
+        "r.csv", "--coefficients", name]],
+        [["verify", "r.csv", "--limit", name]], [["calibrate", "r.csv", "--g", name]], [["calibrate",
+        "r.csv", "--estimator", name]],
+        [["control", name, name]], [["compare", "r.csv", "r.csv", "--date", name, "--date", name]],
+        [["abort", name]], [["init", name]],
+        [[*run[:3], "--name", name]], [[name, name]], [["resume", "--runs", name]], [["report", "r.csv",
+        "--out", name]],
+    ))  # fmt: skip
+    refuse = (
+        "an operator's name that is no text"
+        if "--operator" in commands[0] and re.search("[\ud800-\udfff]", name)
+        else ""
+    )
+    if commands[0][0] == "import" and not re.fullmatch(r"\w[\w.+-]{0,99}", name) and not name.startswith("-"):
+        refuse = "a run's name" if name else ""
+    return Case(
+        [[a.replace("\0", "") for a in command] for command in commands],
+        files,
+        refuse=refuse if "\0" not in name else "",
+    )
+
+
+MADE: Final[dict[str, Callable[[random.Random], Case]]] = {
+    "readings": csv_case, "bench": bench_case, "procedure": procedure_case, "model": model_case,
+    "result": json_case,
+    "record": record_case, "names": name_case,
+}  # fmt: skip
+"""Kinds of input that commands take; `scpi` and `answers` are made where they are tried."""
