@@ -255,6 +255,12 @@ class _Hands:
             self._world.turn(mistake.angle_rad + scale_angle_rad - step.target_rad, direction)
 
 
+def _same_noise_again(world: Any) -> None:
+    """Give a step taken again the random numbers of its first time: what differs is what the mistake left."""
+    begin_step = world.begin_step
+    world.begin_step = lambda key, scan=(): begin_step(key.partition("@")[0], scan)
+
+
 class MistakenOperator(ScriptedOperator):
     """A scripted operator who makes a mistake once; None for one who makes none.
 
@@ -263,6 +269,7 @@ class MistakenOperator(ScriptedOperator):
 
     def __init__(self, world: World, settings: OperatorSettings, plan: Plan, mistake: Mistake | None) -> None:
         self._hands = _Hands(world, plan, mistake)
+        _same_noise_again(world)
         super().__init__(self._hands, replace(settings, slip_probability=0.0))  # type: ignore[arg-type]
         self._mistake = mistake
         self.asked: list[str] = []

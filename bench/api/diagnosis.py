@@ -11,7 +11,8 @@ import numpy as np
 from rich.console import Console
 
 from bench.analysis.diagnosis import Diagnosis, ThresholdCache
-from bench.analysis.diagnosis.full import FullDiagnosis, diagnose_fully
+from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
+from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
 from bench.api.provenance import provenance
 from bench.api.source import Source, data_sha256
@@ -127,18 +128,26 @@ def _began_s(source: Source) -> float | None:
 def diagnosis_of(source: Source) -> FullDiagnosis:
     """Diagnose a source with its own bench and model; thresholds are kept in the user's cache folder.
 
-    Raises `CalibrationError` where the readings do not determine the coefficients.
+    What the early warning named while a run was taken is put right first. Raises `CalibrationError` where the
+    readings do not determine the coefficients, `TooLittleLeft` where they would not without their mistakes.
     """
-    full = diagnose_fully(
-        source.readings,
-        source.model,
-        source.bench,
-        source.g_m_s2,
-        ThresholdCache(cache_folder("thresholds")),
-        source=source.name,
-        simulated=source.simulated,
-    )
-    return replace(full, bench=source.taken.to_dict())
+    readings, known = put_right(source)
+    taken = source.taken.to_dict()
+    try:
+        full = diagnose_fully(
+            readings,
+            source.model,
+            source.bench,
+            source.g_m_s2,
+            ThresholdCache(cache_folder("thresholds")),
+            source=source.name,
+            simulated=source.simulated,
+            known=known,
+        )
+    except TooLittleLeft as found:
+        found.bench = taken
+        raise
+    return replace(full, bench=taken)
 
 
 def diagnosis_page(source: Source, full: FullDiagnosis) -> str:

@@ -28,7 +28,7 @@ from bench.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from bench.analysis.diagnosis.full import FullDiagnosis
+    from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
     from bench.api.diagnosis import Body
     from bench.api.source import Request
 
@@ -68,11 +68,26 @@ def diagnose(
     # many small matrices: the threads of a linear algebra library would wait for one another
     for name in THREADS:
         os.environ.setdefault(name, "1")
+    from bench.analysis.diagnosis.full import TooLittleLeft
     from bench.api.source import Request
 
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
-    results = diagnosed(request, json, together=together, accept_first=accept_first, report=report)
+    try:
+        results = diagnosed(request, json, together=together, accept_first=accept_first, report=report)
+    except TooLittleLeft as found:
+        if len(sources) > 1:
+            raise
+        _told(found, str(sources[0]), json)
+        return 1 if strict else 0
     return 1 if strict and any(one.diagnosis.verdict != "agrees" for one in results) else 0
+
+
+def _told(found: TooLittleLeft, source: str, target: str | None) -> None:
+    """Print and write mistakes that leave too little to fit anything."""
+    from bench.report.diagnosis.terminal import print_mistakes
+
+    printing.write_json([found.to_dict(source)], target)
+    print_mistakes(found, source, printing.console(json=target))
 
 
 def diagnosed(

@@ -120,9 +120,12 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
     """Draw the results from a finished run and write them into its folder. Raises `OSError`."""
     from bench.analysis.calibration import CalibrationError
     from bench.api.calibration import calibration_of
+    from bench.api.early_mistakes import told_in_words
     from bench.base.whole import to_text, write_whole
 
     out = printing.console(json=target)
+    for line in told_in_words(run):
+        out.print(f"look: {line}")
     drawn: dict[str, Any] = {
         "run": run.name,
         "folder": str(run.folder),

@@ -22,7 +22,7 @@ class Progress:
     `temperature_c` is the last one on record, `identities` those of the instruments; `remounts` gives the
     series that readings of a (series, installation) have since the block was taken off and mounted again in
     the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `gone_on` the steps at
-    which one was overruled.
+    which one was overruled, `signs` how many there were.
     """
 
     done: set[int] = field(default_factory=set)
@@ -34,6 +34,7 @@ class Progress:
     remounts: dict[tuple[int, str], int] = field(default_factory=dict)
     doubt: Event | None = None
     gone_on: set[int] = field(default_factory=set)
+    signs: int = 0
 
     @classmethod
     def of(cls, history: History) -> Progress:
@@ -64,6 +65,7 @@ class Progress:
                 place = (int(event.data["series"]), str(event.data["installation"]))
                 self.remounts[place] = int(event.data["now_series"])
             case EventType.EARLY_SIGN:
+                self.signs += 1
                 if event.data.get("confident"):
                     self.doubt = event
             case EventType.WENT_ON:

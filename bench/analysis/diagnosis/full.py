@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench.analysis.calibration import CalibrationError
 from bench.analysis.diagnosis.alternatives import Rival, rivals
 from bench.analysis.diagnosis.course import diagnose
 from bench.analysis.diagnosis.next_measurement import Proposal, propose
-from bench.analysis.diagnosis.result import Diagnosis
+from bench.analysis.diagnosis.result import Diagnosis, mistake_to_dict
 from bench.analysis.diagnosis.show import Shown, contradicted, show
 from bench.analysis.diagnosis.threshold import ThresholdCache
+from bench.analysis.mistakes.search import Mistake
 from bench.base.numbers import without_infinity
 from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
@@ -65,6 +67,45 @@ class FullDiagnosis:
         return {key: without_infinity(value) for key, value in whole.items()}
 
 
+class TooLittleLeft(CalibrationError):
+    """Mistakes are known and put right, and what is left does not determine the coefficients."""
+
+    def __init__(self, mistakes: Sequence[Mistake], reason: str, *, simulated: bool) -> None:
+        self.mistakes = tuple(mistakes)
+        self.simulated = simulated
+        self.bench: Mapping[str, str] | None = None
+        self.reason = reason
+        told = "; ".join(mistake.words for mistake in mistakes)
+        super().__init__(f"a mistake: {told}; put right, {reason}")
+
+    def to_dict(self, source: str) -> dict[str, Any]:
+        """Return the promised result: the mistakes, and null or nothing where there is no fit."""
+        found = [without_infinity(mistake_to_dict(mistake)) for mistake in self.mistakes]
+        return {
+            "verdict": "mistake",
+            "where": [],
+            "effects": found,
+            "next_measurement": None,
+            "hidden": [],
+            "hidden_parts": {},
+            "gap": None,
+            "model": None,
+            "noise": None,
+            "p_left": None,
+            "detectable": {},
+            "registered": None,
+            "notes": [f"put right, {self.reason}"],
+            "simulation": None,
+            "coefficients": {},
+            "ranking": [],
+            "source": source,
+            "simulated": self.simulated,
+            "skipped_rows": [],
+            "bench": None if self.bench is None else dict(self.bench),
+            "report": None,
+        }
+
+
 def diagnose_fully(
     readings: Readings,
     model: ForwardModel,
@@ -74,15 +115,25 @@ def diagnose_fully(
     *,
     source: str,
     simulated: bool,
+    known: Sequence[Mistake] = (),
 ) -> FullDiagnosis:
     """Diagnose readings that were taken on a bench, and work out what follows; nothing is written.
 
-    `source` is what they are called, `simulated` whether they come from simulated instruments. Raises
-    `CalibrationError` where the readings do not determine the coefficients.
+    `source` is what they are called, `simulated` whether they come from simulated instruments, `known` mistakes
+    that are put right in them already. Raises `CalibrationError` where the readings do not determine the
+    coefficients: `TooLittleLeft` where some were known.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     nominal = np.array(bench.unit_under_test.scale_factors.values) if readings.unit == "V" else None
-    diagnosis = diagnose(readings, model, stand_u, nominal, cache)
+    try:
+        diagnosis = diagnose(readings, model, stand_u, nominal, cache)
+    except CalibrationError as reason:
+        if known:
+            raise TooLittleLeft(known, str(reason), simulated=simulated) from reason
+        raise
+    if known:
+        mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
+        diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
     shown = show(diagnosis.mistakes.corrected, model, diagnosis.applied, stand_u, g_m_s2)
     stated = contradicted(model.effects, shown.before.effects)
     return FullDiagnosis(

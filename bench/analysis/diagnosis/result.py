@@ -142,7 +142,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "where": [asdict(place) for place in self.where],
             "effects": [
-                *(_mistake(mistake) for mistake in self.mistakes.mistakes),
+                *(mistake_to_dict(mistake) for mistake in self.mistakes.mistakes),
                 *(effect.to_dict() for effect in self.effects),
             ],
             "next_measurement": None,
@@ -162,7 +162,8 @@ class Diagnosis:
         }
 
 
-def _mistake(mistake: Mistake) -> dict[str, Any]:
+def mistake_to_dict(mistake: Mistake) -> dict[str, Any]:
+    """Return the promised form of a mistake."""
     return {
         "name": mistake.name,
         "channels": list(mistake.channels),

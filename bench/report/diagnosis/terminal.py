@@ -10,7 +10,7 @@ from rich.table import Table
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
-from bench.analysis.diagnosis.full import FullDiagnosis
+from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import quantity, typeset
 from bench.base.progress import quiet
@@ -87,6 +87,16 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
     more = len(diagnosis.where) - LISTED_PLACES
     if more > 0:
         out.print(f"  and {more} more")
+
+
+def print_mistakes(found: TooLittleLeft, source: str, out: Console) -> None:
+    """Print mistakes that leave too little to fit anything, and what is missing."""
+    for mistake in found.mistakes:
+        out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
+    out.print(f"Put right in a copy, {found.reason}")
+    names = ", ".join(dict.fromkeys(mistake.name for mistake in found.mistakes))
+    lead = words.LEAD["mistake"].upper()
+    out.print(f"{source}: {lead}: {names}; put it right and measure again what is missing", style="bold")
 
 
 def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
