@@ -35,7 +35,8 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
-            *_settling_problems(plan, bench), *_time_problems(plan), *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
+            *_settling_problems(plan, bench), *_time_problems(plan),
+            *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
 
 
 def _time_problems(plan: Plan) -> Iterator[str]:
