@@ -16,7 +16,19 @@ from sim.agilent_34401a.cycle import MeasuringCycle
 from sim.agilent_34401a.functions import Function, FunctionSettings
 from sim.scpi.instrument import Command, ScpiInstrument
 from sim.scpi.status import ScpiError
-from sim.scpi.values import MAX, MIN, Boolean, Choice, Number, Text, Value, next_above, quoted, within
+from sim.scpi.values import (
+    MAX,
+    MIN,
+    Boolean,
+    Choice,
+    Number,
+    Text,
+    Value,
+    next_above,
+    numbered,
+    quoted,
+    within,
+)
 from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:
@@ -152,7 +164,7 @@ class Keithley2000(ScpiInstrument):
         accuracy: Accuracy | None = None,
         line_hz: float = 50.0,
     ) -> None:
-        super().__init__(facts.IDENTITY, _ERRORS)
+        super().__init__(numbered(facts.IDENTITY, source.place), _ERRORS)
         self.interface = interface
         messages = tuple(end.encode("ascii") for end in facts.TERMINATORS.values())
         self.line_ends = LineEnds(messages if interface == "rs232" else (b"\n",), line_end.encode("ascii"))

@@ -13,7 +13,7 @@ from drivers.keysight_34461a.facts import IDENTITY, INTERFACES, MEMORY_READINGS,
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.agilent_34401a.trigger import Trigger
 from sim.scpi.instrument import Command
-from sim.scpi.values import Boolean, Choice
+from sim.scpi.values import Boolean, Choice, numbered
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -49,7 +49,7 @@ class Keysight34461A(Agilent34401A):
         if interface not in INTERFACES:
             raise ValueError(f"a {MODEL} has no RS-232")
         super().__init__(source, clock, interface=interface, **options)
-        self.identity = IDENTITY
+        self.identity = self._own_identity = numbered(IDENTITY, source.place)
         self.add(self._truevolt_commands())
 
     def _truevolt_commands(self) -> list[Command]:
@@ -60,8 +60,8 @@ class Keysight34461A(Agilent34401A):
             Command("[SENSe:]VOLTage[:DC]:IMPedance:AUTO", configuration.set_high_impedance, (Boolean(),)),
             Command("[SENSe:]VOLTage[:DC]:IMPedance:AUTO?", lambda: str(int(configuration.high_impedance))),
             Command("SYSTem:IDENtify", self._identify, (Choice(("DEFault", "HP34401A")),)),
-            Command("SYSTem:IDENtify?", lambda: "DEF" if self.identity == IDENTITY else "HP34401A"),
+            Command("SYSTem:IDENtify?", lambda: "DEF" if self.identity == self._own_identity else "HP34401A"),
         ]
 
     def _identify(self, word: str) -> None:
-        self.identity = IDENTITY if word == "DEF" else IDENTITY_34401A
+        self.identity = self._own_identity if word == "DEF" else IDENTITY_34401A

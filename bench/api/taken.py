@@ -19,21 +19,27 @@ _NONE_NAMED: Final = "the shipped one, as none was named"
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """A bench file, where it is, its SHA-256, and why that one."""
+    """A bench file, where it is, its SHA-256, and why that one; `chosen` is why a run had it."""
 
     file: BenchFile
     where: str
     sha256: str
     why: str
+    chosen: str = ""
 
     @property
     def words(self) -> str:
         """Which one it is, and why that one."""
         return f"{self.file.name}, {self.why}"
 
+    @property
+    def reason(self) -> str:
+        """Why that one, with why the run had it."""
+        return ": ".join(filter(None, (self.why, self.chosen)))
+
     def to_dict(self) -> dict[str, str]:
         """Return what a result says of it."""
-        return {"name": self.file.name, "file": self.where, "why": self.why, "sha256": self.sha256}
+        return {"name": self.file.name, "file": self.where, "why": self.reason, "sha256": self.sha256}
 
 
 def bench_path(given: str | None) -> Path:
@@ -97,7 +103,6 @@ def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[
         taken = find_bench_file(given)
         return taken, (f"evaluated with {taken.where} in place of the bench file that the run recorded",)
     path = run.folder / BENCH
-    why = "as the run recorded it"
-    if reason := run.manifest.get("bench_why"):
-        why += f": {reason}"
-    return BenchTaken(load_recorded_bench(path), str(path), recorded_sha256(run), why), ()
+    recorded = load_recorded_bench(path)
+    chosen = run.manifest.get("bench_why", "")
+    return BenchTaken(recorded, str(path), recorded_sha256(run), "as the run recorded it", chosen), ()

@@ -130,7 +130,7 @@ def bench_file(taken: BenchTaken, json: str | None, of: str = "") -> None:
     Where the result goes to standard output (`json` is "-"), it says it by itself, and errors stay alone.
     """
     if json != "-":
-        console().print(f"bench file{of and f' of {of}'}: {taken.words} ({taken.where})")
+        console().print(f"bench file{of and f' of {of}'}: {taken.file.name}, {taken.reason} ({taken.where})")
 
 
 def bench_files(sources: Sequence[Source], json: str | None) -> None:

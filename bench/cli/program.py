@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import signal
 import sys
 
@@ -20,6 +21,10 @@ def main() -> None:
     """
     try:
         signal.signal(signal.SIGINT, _once)
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(
+                errors="backslashreplace"
+            )  # a terminal that knows no µ is no reason to stop
         from bench.cli.app import main as command_line
 
         command_line()

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import HOUR, Floats
 from bench.base.words import APPROACH
 from bench.files.bench.file import BenchFile
 from bench.model.block import COEFFICIENTS, hidden_axes
@@ -16,6 +16,10 @@ from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 ROUNDING_RAD: Final = 1e-9
+
+_DAY: Final = 24 * HOUR
+LONGEST_S: Final = 366 * _DAY
+"""A plan that may take longer is none that anybody means."""
 
 _BYTES_OF_REPORT: Final = 1_500_000
 _BYTES_OF_STEP: Final = 800
@@ -31,7 +35,13 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
-            *_settling_problems(plan, bench), *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
+            *_settling_problems(plan, bench), *_time_problems(plan),
+            *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
+
+
+def _time_problems(plan: Plan) -> Iterator[str]:
+    if not plan.longest_duration_s() < LONGEST_S:
+        yield f"the procedure may take more than {LONGEST_S / _DAY:.0f} days: look for a slip in a time or a count"
 
 
 def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:

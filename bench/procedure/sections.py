@@ -12,6 +12,9 @@ from bench.procedure.plan import OnFailure, OperatorTime
 
 Positive = Annotated[int, Field(ge=1)]
 
+MOST_SAMPLES: Final = 1_000_000
+"""Of what is waited for to settle."""
+
 TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))
 
 
@@ -29,6 +32,8 @@ class SettleForm(FileModel):
             raise ValueError("the precision is more than nothing: no two samples are ever the same")
         if not 0.0 < self.interval <= self.window:
             raise ValueError("the interval is longer than nothing and no longer than the window")
+        if self.timeout > MOST_SAMPLES * self.interval:
+            raise ValueError(f"an interval so short takes more than {MOST_SAMPLES} samples until the timeout")
         if self.timeout < self.window + self.interval:
             raise ValueError(
                 "the timeout is at least the window and one interval: one sample is older than it"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Collection
 from typing import Final, TextIO
 
@@ -254,6 +255,8 @@ def _running_sums(step_s: list[float]) -> list[float]:
 
 def duration(seconds: float) -> str:
     """Return a duration as a person says it: "2 h 05 min", "3 min", "40 s"."""
+    if not math.isfinite(seconds):
+        return "for ever"
     if seconds >= 3600:
         minutes = round(seconds / 60)
         return f"{minutes // 60} h {minutes % 60:02d} min"

@@ -40,6 +40,11 @@ class MeteredSignal(Protocol):
     """What a meter is wired to: one channel of the world."""
 
     @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here, from 0: each has a serial number of its own."""
+        ...
+
+    @property
     def temperature_c(self) -> float:
         """The temperature at the meter, °C."""
         ...

@@ -138,6 +138,11 @@ class CardInput:
         self._common = common
 
     @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here."""
+        return self._common.place
+
+    @property
     def temperature_c(self) -> float:
         """The temperature at the meter, °C."""
         return self._common.temperature_c

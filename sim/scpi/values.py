@@ -232,6 +232,14 @@ def integer(value: float) -> str:
     return f"{round(value):+d}"
 
 
+def numbered(identity: str, place: int) -> str:
+    """Return an identity (IEEE 488.2, 10.14) whose serial number stands `place` further on."""
+    maker, model, serial, firmware = identity.split(",", 3)
+    digits = serial[len(serial.rstrip("0123456789")) :]
+    ahead = serial.removesuffix(digits) + str(int(digits) + place).zfill(len(digits))
+    return ",".join((maker, model, ahead, firmware))
+
+
 def quoted(text: str) -> str:
     """Format a string reply: double quotes, doubled within."""
     return '"' + text.replace('"', '""') + '"'

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bench.base.arrays import CHANNELS
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -18,6 +20,11 @@ class Terminals:
         self._world = world
         self._channel = channel
         self._reading = 0
+
+    @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here: 0 at channel x, 1 at y, 2 at z."""
+        return CHANNELS.index(self._channel)
 
     @property
     def temperature_c(self) -> float:

@@ -1,7 +1,10 @@
 """The commands as their user types them, in an empty folder."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -265,3 +268,12 @@ def test_run_and_report_give_json_on_standard_output_alone(bench):
     assert "PASSED" in err  # what a person reads goes beside it
     told = json.loads(bench("report", "j", "--json", "-")[1])
     assert Path(told["report"]).is_file()
+
+
+@pytest.mark.slow
+def test_a_terminal_that_knows_few_characters_is_shown_escapes(empty_folder):
+    program = [sys.executable, "-c", "from bench.cli.program import main; main()", "check", "quick"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(program, env=environment, capture_output=True, check=False)  # noqa: S603
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert rb"\xb5V/g" in done.stdout

@@ -26,7 +26,7 @@ def recorded(request, bench):
 def comparable(value, of_float=float):
     """A result without what belongs to one run or program, `of_float` taken of its numbers."""
     if isinstance(value, dict):
-        own = {"source", "made_at", "versions", "record"}
+        own = {"source", "made_at", "versions", "record", "bench"}
         return {key: comparable(part, of_float) for key, part in value.items() if key not in own}
     if isinstance(value, list):
         return [comparable(part, of_float) for part in value]

@@ -5,7 +5,11 @@ import os
 import pytest
 
 from bench.base.forms import FileMistakes
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench
+from bench.procedure.check import check
 from bench.procedure.load import load_procedure
+from bench.run.terminal import duration
 
 HEAD = "procedure: x\nsteps:\n"
 WAIT = "steps: [{wait: {for: 1 s}}]\n"
@@ -110,3 +114,19 @@ def test_a_file_of_mistakes_tells_a_page_of_them(told):
     answer = told("- {wiat: {for: 1 s}}\n" * 5000).splitlines()
     assert len(answer) == 200
     assert "there are more mistakes" in answer[-1]
+
+
+@pytest.mark.parametrize(
+    "step", ["wait: {for: 1e308 s}", "repeat: {times: 400, steps: [{wait: {for: 1 d}}]}"]
+)
+def test_a_procedure_ends_within_a_year(tmp_path, step):
+    (tmp_path / "p.yaml").write_text(f"procedure: x\nsteps: [{{{step}}}, {{{step}}}]\n")
+    plan = load_procedure(tmp_path / "p.yaml").plan
+    (told,) = check(plan, load_bench(find_bench("paper-stand")))
+    assert "more than 366 days" in told
+    assert duration(plan.expected_duration_s())
+
+
+def test_settling_takes_no_million_samples(told):
+    settle = "{what: signals, precision: 1 mV, window: 1 s, timeout: 1e308 s, interval: 1e-9 s}"
+    assert "more than 1000000 samples until the timeout" in told(f"- settle: {settle}\n")

@@ -36,6 +36,8 @@ class Ramp:
     def random(self, purpose: str) -> np.random.Generator:
         return keyed_generator(3, purpose, self.offset_v, self.readings)
 
+    place = 0
+
     def fixed_random(self, purpose: str) -> np.random.Generator:
         return keyed_generator(3, purpose, self.offset_v)
 
