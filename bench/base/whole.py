@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -41,12 +42,25 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all. Raises `OSError` that names it."""
+    """Write a file so that it is there whole or not at all. Raises `OSError` that names it.
+
+    A link is followed; into what is no file (`/dev/null`, a pipe) the text is written as it is, never put in its place.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            path.write_text(text, encoding="utf-8", newline="")
+        else:
+            _put_in_place(Path(os.path.realpath(path)), text)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def _put_in_place(path: Path, text: str) -> None:
     half = path.with_name(path.name + ".part")
     try:
         half.write_text(text, encoding="utf-8", newline="")
         half.replace(path)
-    except OSError as error:
+    except OSError:
         with suppress(OSError):  # a file system that is read-only refuses that, too
             half.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error
+        raise

@@ -1,0 +1,40 @@
+"""A file is there whole or not at all; what is no file stays what it is."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from bench.base.whole import write_whole
+
+
+def test_a_device_or_pipe_is_written_to_and_never_replaced(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    end = os.open(pipe, os.O_RDWR)  # both ends, so that nobody waits for the other
+    try:
+        write_whole(pipe, "result\n")
+        assert os.read(end, 100) == b"result\n"
+    finally:
+        os.close(end)
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "true").write_text("before", encoding="utf-8")
+    (tmp_path / "link").symlink_to(tmp_path / "true")
+    write_whole(tmp_path / "link", "after")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "true").read_text(encoding="utf-8") == "after"
+
+
+def test_what_cannot_be_written_is_named_and_leaves_no_half(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="folder"):
+        write_whole(tmp_path / "folder" / "r.json", "x")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="folder"):
+        write_whole(tmp_path / "folder", "x")
+    assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
