@@ -7,7 +7,7 @@ bench every kind of fault strikes every instrument that can have it, once and fr
 motor sticks or stops beside its target as well. The exchange is drawn from those before the cables are pulled.
 Judged: the evening is gone through to its end, with its page; a finding that is not well names the instrument
 (one that struck once may pass without a trace where the driver is proof against it, which is counted); the head
-stands, the chamber stands by, no connection is left. Prints a table by kind and every violation; exit status 1
+stands, the chamber stands by. Prints a table by kind and every violation; exit status 1
 when there is one.
 """
 

@@ -44,7 +44,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def write_whole(path: Path, text: str) -> None:
     """Write a file so that it is there whole or not at all. Raises `OSError` that names it.
 
-    A link is followed; into what is no file (`/dev/null`, a pipe) the text is written as it is, never put in its place.
+    A link is followed; into what is no file (`/dev/null`, a pipe) the text is written, never put in its place.
     """
     try:
         if path.exists() and not path.is_file():
