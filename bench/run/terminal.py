@@ -174,6 +174,8 @@ class ProgressBar:
         elif event.type == EventType.STEP_DONE:
             self._progress.update(self._task, completed=event.step + 1)
             self._show_reading(event.reading)
+        elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):
+            pass  # the question how to go on says it, and where nobody answers the end of the run
         elif (text := sentence(event)) != event.type:
             self._console.print(Text(text, style="bold yellow"), soft_wrap=False)
 
