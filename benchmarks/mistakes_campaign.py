@@ -289,9 +289,11 @@ def wilson(good: int, n: int) -> tuple[float, float]:
 
 
 def fraction(good: int, n: int) -> str:
-    """Return a fraction with its interval."""
+    """Return a fraction with its interval; "none" of none."""
+    if not n:
+        return "none"
     low, high = wilson(good, n)
-    return f"{good}/{n} = {100 * good / max(n, 1):.1f} % ({100 * low:.1f} … {100 * high:.1f})"
+    return f"{good}/{n} = {100 * good / n:.1f} % ({100 * low:.1f} … {100 * high:.1f})"
 
 
 def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
