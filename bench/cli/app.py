@@ -82,7 +82,9 @@ def explain(error: Exception, command: str = "bench") -> str:
     """Return the sentence for an error; one that nobody foresaw names the command, and how to see more."""
     if isinstance(error, Refused):
         return error.typed
-    if isinstance(error, typer.TyperException) or expected(error):
+    if isinstance(error, typer.TyperException):
+        return error.format_message()  # with the option's name
+    if expected(error):
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {error.strerror or error}"

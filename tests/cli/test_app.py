@@ -277,3 +277,9 @@ def test_a_terminal_that_knows_few_characters_is_shown_escapes(empty_folder):
     done = subprocess.run(program, env=environment, capture_output=True, check=False)  # noqa: S603
     assert (done.returncode, done.stderr) == (0, b"")
     assert rb"\xb5V/g" in done.stdout
+
+
+def test_a_value_that_is_none_is_told_with_its_option(bench):
+    status, _, err = bench("verify", "x.csv", "--limit", "1e-5 g")
+    assert status == 2
+    assert "--limit" in err
