@@ -20,19 +20,21 @@ def main() -> None:
     that is told: they are not heard. What must be left safe hears signals by itself (`bench.run.signals`).
     """
     try:
-        signal.signal(signal.SIGINT, _once)
-        if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(
-                errors="backslashreplace"
-            )  # a terminal that knows no µ is no reason to stop
-        from bench.cli.app import main as command_line
+        try:
+            signal.signal(signal.SIGINT, _once)
+            if isinstance(sys.stdout, io.TextIOWrapper):
+                # a terminal that knows no µ is no reason to stop
+                sys.stdout.reconfigure(errors="backslashreplace")
+            from bench.cli.app import main as command_line
 
-        command_line()
-    except KeyboardInterrupt:
+            command_line()
+        finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except KeyboardInterrupt as stop:
+        if isinstance(stop.__context__, SystemExit):
+            raise stop.__context__ from None  # it came when the program was done, with its own status
         print("bench: stopped by Ctrl-C", file=sys.stderr)
         sys.exit(_STOPPED)
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _once(number: int, frame: FrameType | None) -> None:

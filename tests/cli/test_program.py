@@ -42,3 +42,22 @@ def test_ctrl_c_while_a_refusal_is_on_its_way_does_not_hide_it(monkeypatch, caps
         app.main(["runs"])
     assert end.value.code == 2
     assert capsys.readouterr().err == "bench: interrupted; 3 readings are kept\n"
+
+
+def test_ctrl_c_as_the_program_leaves_changes_neither_status_nor_what_was_said(handler, monkeypatch, capsys):
+    def done():
+        raise SystemExit(1)
+
+    def set_late(number, what):
+        if what is signal.SIG_IGN and late:
+            late.pop()
+            interrupted()  # just before it is heard no more
+        return set_now(number, what)
+
+    set_now, late = signal.signal, [True]
+    monkeypatch.setattr(app, "main", done)
+    monkeypatch.setattr(program.signal, "signal", set_late)
+    with pytest.raises(SystemExit) as end:
+        program.main()
+    assert end.value.code == 1
+    assert capsys.readouterr().err == ""
