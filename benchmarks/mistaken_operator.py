@@ -282,7 +282,9 @@ class MistakenOperator(ScriptedOperator):
             self._hands.mend()
             self._turned_for = None  # what was turned wrongly is turned again
             kind = self._mistake.kind if self._mistake else ""
-            return Answer(prompt.id, REDO.get(kind, "redo point"))
+            # a point that was taken again to no purpose: the wrong one is before it
+            again = "redo pass" if len(self.asked) > 1 else "redo point"
+            return Answer(prompt.id, REDO.get(kind, again))
         self._hands.at(prompt.id)
         if "probably" in prompt.text:
             self.slips_told.append(prompt.text)

@@ -52,6 +52,7 @@ from bench.run.events import Event, EventType, Mounted, result_to_json
 from bench.run.folder import Run
 from bench.run.mounting import mount_prompt
 from bench.run.watch.sign import MOST_TOLD
+from benchmarks.blind_trial.score import Share
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
 from drivers.interfaces import CHANNELS
 from drivers.manual.head import ManualHead
@@ -279,23 +280,6 @@ def _difference(run: Run, undisturbed: Run) -> float:
 # --- the campaign -----------------------------------------------------------------------------------
 
 
-def wilson(good: int, n: int) -> tuple[float, float]:
-    """Return the Wilson interval of a fraction, 95 %."""
-    if not n:
-        return 0.0, 1.0
-    z, p = 1.959964, good / n
-    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
-
-
-def fraction(good: int, n: int) -> str:
-    """Return a fraction with its interval; "none" of none."""
-    if not n:
-        return "none"
-    low, high = wilson(good, n)
-    return f"{good}/{n} = {100 * good / n:.1f} % ({100 * low:.1f} … {100 * high:.1f})"
-
-
 def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
     """Return the lines of the table, and whether every bar is kept."""
     lines, kept = [], True
@@ -309,8 +293,8 @@ def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
         right = sum(row.right for row in stopped)
         alone = sum(row.right and len(row.causes) == 1 for row in stopped)
         lines.append(
-            f"{kind:24} {len(rows):5} runs, {len(large):5} of 8 sd; in time {fraction(in_time, len(large))}; "
-            f"right cause {fraction(right, len(stopped))}, {alone} of them alone"
+            f"{kind:24} {len(rows):5} runs, {len(large):5} of 8 sd; in time {Share(in_time, len(large))}; "
+            f"right cause {Share(right, len(stopped))}, {alone} of them alone"
         )
         kept &= in_time >= IN_TIME * len(large) and right >= RIGHT * len(stopped)
         compared = [row for row in rows if row.agrees is not None and row.stopped]
@@ -318,13 +302,13 @@ def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
             agree = sum(bool(row.agrees) for row in compared)
             worst = max(row.worst or 0.0 for row in compared)
             lines.append(
-                f"{'':24} after the redo within u: {fraction(agree, len(compared))}, worst {worst:.2f} u"
+                f"{'':24} after the redo within u: {Share(agree, len(compared))}, worst {worst:.2f} u"
             )
             kept &= agree == len(compared)
     clean = [row for row in outcomes if row.kind == CLEAN]
     if clean:
         false = sum(row.stopped for row in clean)
-        lines.append(f"{CLEAN:24} {len(clean):5} runs; false stops {fraction(false, len(clean))}")
+        lines.append(f"{CLEAN:24} {len(clean):5} runs; false stops {Share(false, len(clean))}")
         kept &= not false
     troubles = [row for row in outcomes if row.trouble]
     lines += [f"TROUBLE {row.kind} seed {row.seed}: {row.trouble}" for row in troubles]

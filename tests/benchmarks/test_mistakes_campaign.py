@@ -12,7 +12,7 @@ from bench.api.execution import carry_out, new_run
 from bench.cli.app import main
 from bench.run.folder import Run
 from benchmarks.mistaken_operator import KINDS, MistakenOperator, draw
-from benchmarks.mistakes_campaign import CLEAN, LARGE, Outcome, setting, table, watched, whole, wilson
+from benchmarks.mistakes_campaign import CLEAN, LARGE, Outcome, setting, table, watched, whole
 from drivers.interfaces import Answer, NoAnswer
 from tests.support.schemas import keeps_to
 
@@ -143,9 +143,3 @@ def test_the_table_says_which_bar_is_missed():
     assert table([*good, *small])[1]
     assert not table([*good, *late])[1]
     assert not table([*good, Outcome(CLEAN, "", 1, stopped=True)])[1]
-
-
-def test_the_wilson_interval_is_that_of_the_formula():
-    """Values of Wilson (1927) for 0 of 10 and 9 of 10, 95 %, as tabulated."""
-    assert wilson(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
-    assert wilson(9, 10) == pytest.approx((0.5958, 0.9821), abs=1e-4)
