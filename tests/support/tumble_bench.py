@@ -66,7 +66,7 @@ def tumble(
         angles = rng.normal(0.0, sizes, (2, 3))[[int(i) - 1 for i in installation]].T
         setting = rng.normal(0.0, setting_u_rad, n)
         noise = rng.normal(0.0, noise_v, (n, 3))
-    a = specific_force(installation, phi, *angles, setting)
+    a = specific_force(installation, phi, angles[0], angles[1], angles[2], setting)
     signal = a @ K.T + U0 + np.diag(K) * terms.output(a) + noise
     return make_readings(installation, pass_number, point, phi, signal)
 
@@ -74,7 +74,7 @@ def tumble(
 def truth(terms: Terms) -> dict[str, float]:
     """The quantities of the view by name ("x.K0"), each by itself: nothing contained of another."""
     found: dict[str, float] = {}
-    after = {"x": "yz", "y": "zx", "z": "xy"}
+    after = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
     for i, channel in enumerate("xyz"):
         nxt, then = after[channel]
         own = K[i, i]
