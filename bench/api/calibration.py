@@ -17,7 +17,7 @@ from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.estimators import CLOSED_FORM, GLS
 from bench.analysis.calibration.verification import COVERAGE_FACTOR, GUARDED, SIMPLE
 from bench.analysis.temperature.plateaus import separate_temperatures
-from bench.api.coefficients import Coefficients, read_coefficients
+from bench.api.coefficients import Coefficients, block_result, read_coefficients
 from bench.api.errors import Refused
 from bench.api.provenance import provenance, record_head
 from bench.api.source import Source
@@ -25,6 +25,7 @@ from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places
 from bench.base.tables import as_html, as_text, table
 from bench.base.whole import write_whole
+from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS
 
 LACK_OF_FIT_P = 0.01
@@ -108,6 +109,23 @@ class CalibrationResult:
     def report(self, path: str | Path) -> None:
         """Write the page (HTML, with everything in it). Raises `OSError`."""
         write_whole(Path(path), report_page(self)[0])
+
+    @cached_property
+    def derived(self) -> BlockResult:
+        """N = K^-1 and the misalignment angles (`inverse`, `misalignments`), each with its covariance."""
+        return block_result(self.to_dict(), self.source.name)
+
+    def write(
+        self, path: str | Path, form: str, *, nominal: tuple[float, float, float] | None = None
+    ) -> tuple[str, ...]:
+        """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
+
+        `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot"; `nominal` are the scale factors,
+        unit/g, by which the last three have the signals in m/s^2. Raises `Refused` for another form, `OSError`.
+        """
+        from bench.api.exchange import write_form
+
+        return write_form(self.derived, Path(path), form, nominal)
 
     def table(self) -> Table:
         """Return the coefficients with u and U (k = 2), rounded to two digits of u."""
