@@ -14,12 +14,14 @@ from bench.analysis.calibration import Calibration, implausible
 from bench.analysis.calibration import calibrate as estimate
 from bench.analysis.calibration.estimators import GLS
 from bench.analysis.temperature.plateaus import separate_temperatures
+from bench.api.coefficients import block_result
 from bench.api.provenance import record_head
 from bench.api.source import Source
 from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places
 from bench.base.tables import as_html, as_text, table
 from bench.base.whole import write_whole
+from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS
 
 LACK_OF_FIT_P = 0.01
@@ -105,6 +107,23 @@ class CalibrationResult:
         from bench.api.page import report_page
 
         write_whole(Path(path), report_page(self)[0])
+
+    @cached_property
+    def derived(self) -> BlockResult:
+        """N = K^-1 and the misalignment angles (`inverse`, `misalignments`), each with its covariance."""
+        return block_result(self.to_dict(), self.source.name)
+
+    def write(
+        self, path: str | Path, form: str, *, nominal: tuple[float, float, float] | None = None
+    ) -> tuple[str, ...]:
+        """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
+
+        `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot"; `nominal` are the scale factors,
+        unit/g, by which the last three have the signals in m/s^2. Raises `Refused` for another form, `OSError`.
+        """
+        from bench.api.exchange import write_form
+
+        return write_form(self.derived, Path(path), form, nominal)
 
     def table(self) -> Table:
         """Return the coefficients with u and U (k = 2), rounded to two digits of u."""
