@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +14,11 @@ from bench.api.errors import Refused
 from bench.base.arrays import Floats
 from bench.base.form_mistakes import shortened
 from bench.base.whole import from_text
+from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS, Block
+
+DEFAULT_K: Final = 2.0
+"""Coverage factor where a result states none."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
 """By how much a correlation of a million readings may be off by rounding."""
@@ -59,12 +64,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     """
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
-        order = [list(data["order"]).index(name) for name in COEFFICIENTS]
-        rows = [[_number(entry) for entry in row] for row in data["covariance"]]
-        size = len(COEFFICIENTS)
-        if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
-            raise ValueError(f"it has not {size} coefficients")
-        covariance = np.array(rows)[np.ix_(order, order)]
+        covariance = _covariance(data, "covariance")
         noise, g_m_s2 = _number(data["noise"]["reading_v"]), _number(data["g_m_s2"])
         theirs, per, simulated = data["unit"], data.get("per", "g"), data.get("simulated", False)
     except KeyError as error:
@@ -78,10 +78,80 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         raise Refused(f"{where}: not a result of 'bench calibrate --json': see its unit, per and simulated")
     if noise < 0 or g_m_s2 <= 0:
         raise Refused(f"{where}: holds a negative noise or gravity; calibrate again")
+    _refuse_impossible(covariance, where)
+    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
+
+
+def block_result(data: Any, where: str) -> BlockResult:
+    """Take all that is to be written out of a result of `calibrate --json`, of this version or one before.
+
+    Raises `Refused` that names `where` when it is not one.
+    """
+    taken = coefficients_of(data, where)
+    unit = data.get("unit_under_test")
+    block = unit if isinstance(unit, Mapping) else {}
+    bench = data.get("bench")
+    stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
+    factors = [_positive(entry.get("k")) for entry in stated.values()]
+    expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
+    return BlockResult(
+        block=taken.block,
+        covariance=taken.covariance,
+        unit=taken.unit,
+        g_m_s2=taken.g_m_s2,
+        source=_text(data.get("source")) or where,
+        block_type=_text(block.get("type")),
+        serial=_text(block.get("serial")),
+        made_at=_text(data.get("made_at")),
+        bench={str(name): _text(said) for name, said in bench.items()}
+        if isinstance(bench, Mapping)
+        else None,
+        simulated=taken.simulated,
+        k=max((factor for factor in factors if factor), default=DEFAULT_K),
+        expanded={name: size for name, size in expanded.items() if size},
+        covariance_readings=_further_covariance(data, "covariance_readings", where),
+        gravity_u=_positive(data.get("gravity_u")),
+    )
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _positive(value: object) -> float:
+    """Return a number that a result states, 0 where it states none."""
+    return float(value) if isinstance(value, int | float) and np.isfinite(value) and value > 0 else 0.0
+
+
+def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
+    """Take a further covariance (12, 12) out of a result that `coefficients_of` has read; None where it has none.
+
+    Raises `Refused` that names `where` when it holds what is no covariance.
+    """
+    if data.get(name) is None:
+        return None
+    try:
+        covariance = _covariance(data, name)
+    except (ValueError, TypeError, IndexError) as error:
+        raise Refused(f"{where}: not a result of 'bench calibrate --json': its {name}: {error}") from error
+    _refuse_impossible(covariance, where)
+    return covariance
+
+
+def _covariance(data: Any, name: str) -> Floats:
+    """Return a covariance (12, 12) of a result in the order of `COEFFICIENTS`."""
+    order = [list(data["order"]).index(coefficient) for coefficient in COEFFICIENTS]
+    rows = [[_number(entry) for entry in row] for row in data[name]]
+    size = len(COEFFICIENTS)
+    if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
+        raise ValueError(f"it has not {size} coefficients")
+    return np.array(rows)[np.ix_(order, order)]
+
+
+def _refuse_impossible(covariance: Floats, where: str) -> None:
     problem = impossible(covariance)
     if problem:
         raise Refused(f"{where}: {problem}; no calibration gives that: take the file as calibrate wrote it")
-    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
 
 
 def _number(value: Any) -> float:

@@ -29,10 +29,14 @@ COMMANDS: Final = {
     "export": "Write the readings of a run as a readings file.",
     "import": "Make a run of a readings file that was measured elsewhere.",
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
-    "verify": "Δg at the verification points against the limit; exit status 1 when one is outside.",
+    "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
+    " for Kalibr, PX4, ArduPilot.",
+    "verify": "Δg at the verification points against the limit; exit status 1 unless the rule accepts all.",
     "report": "Write the report of a run: one HTML page.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
     "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",
+    "tumble": "Each axis of a multi-point tumble by IEEE 1293:"
+    " bias, scale factor, misalignments, K2, K3, Koq.",
     "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
     "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
     "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",
