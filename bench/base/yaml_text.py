@@ -6,6 +6,7 @@ Lines are noted only where they are asked for: those of a hundred thousand steps
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -15,7 +16,6 @@ from yaml.events import (
     AliasEvent,
     CollectionEndEvent,
     CollectionStartEvent,
-    Event,
     MappingEndEvent,
     MappingStartEvent,
     ScalarEvent,
@@ -79,7 +79,7 @@ class _Reader:
     """Goes through the events of a text once; without `noting`, raises `_Slipped` at the first slip."""
 
     def __init__(self, text: str, noting: Written | None) -> None:
-        self._next = _Parser(text).get_event
+        self._next: Callable[[], Any] = _Parser(text).get_event
         self._noting = noting
         self._anchors: dict[str, Any] = {}
 
@@ -91,7 +91,7 @@ class _Reader:
             return None
         first = self._next()
         if self._noting is not None:
-            self._noting.lines[()] = first.start_mark.line + 1
+            self._noting.lines[()] = _line(first)
         data = self._value(first, (), 0)
         self._next()  # the document's end
         if not isinstance(after := self._next(), StreamEndEvent):
@@ -117,7 +117,7 @@ class _Reader:
                 return None
         tag = event.tag
         if tag is not None and tag not in _PLAIN_TAGS and tag != "!":
-            self._slip(event.start_mark.line + 1, place, f"the tag {tag!r} is not understood; leave it out")
+            self._slip(_line(event), place, f"the tag {tag!r} is not understood; leave it out")
         if isinstance(event, ScalarEvent):
             text = event.value
             is_nothing = tag == _NULL or (text in _NULLS and tag in _UNTOLD and event.implicit[0])
@@ -132,7 +132,7 @@ class _Reader:
             inside = place
             if self._noting is not None:
                 inside = (*place, len(items))
-                self._noting.lines[inside] = event.start_mark.line + 1
+                self._noting.lines[inside] = _line(event)
             items.append(self._value(event, inside, deep))
         return items
 
@@ -140,7 +140,7 @@ class _Reader:
         mapping: dict[str, Any] = {}
         while not isinstance(key := self._next(), MappingEndEvent):
             if not isinstance(key, ScalarEvent):
-                self._slip(key.start_mark.line + 1, place, "a key must be a plain word")
+                self._slip(_line(key), place, "a key must be a plain word")
                 self._pass_over(key, deep)
                 self._pass_over(self._next(), deep)
                 continue
@@ -148,16 +148,16 @@ class _Reader:
                 self._anchor(key)
             name, inside = sys.intern(key.value), place
             if name in mapping:
-                self._slip_again(key.start_mark.line + 1, place, name)
+                self._slip_again(_line(key), place, name)
                 self._pass_over(self._next(), deep)
                 continue
             if self._noting is not None:
                 inside = (*place, name)
-                self._noting.lines[inside] = key.start_mark.line + 1
+                self._noting.lines[inside] = _line(key)
             mapping[name] = self._value(self._next(), inside, deep)
         return mapping
 
-    def _pass_over(self, event: Event, deep: int) -> None:
+    def _pass_over(self, event: Any, deep: int) -> None:
         """Leave out what begins with an event, but for its anchors."""
         open_ones = 0
         while True:
@@ -172,15 +172,15 @@ class _Reader:
 
     def _anchor(self, event: Any) -> None:
         """Keep where an anchor stands; refuse a second one of its name, and an alias for none."""
-        first = self._anchors.get(event.anchor)
+        first, here = self._anchors.get(event.anchor), event.start_mark
         if isinstance(event, AliasEvent):
             if first is None:
-                raise ComposerError(None, None, f"found undefined alias {event.anchor!r}", event.start_mark)
+                raise ComposerError(None, None, f"found undefined alias {event.anchor!r}", here)
             return
         if first is not None:
             about = f"found duplicate anchor {event.anchor!r}; first occurrence"
-            raise ComposerError(about, first, "second occurrence", event.start_mark)
-        self._anchors[event.anchor] = event.start_mark
+            raise ComposerError(about, first, "second occurrence", here)
+        self._anchors[event.anchor] = here
 
     def _slip_again(self, line: int, place: Place, name: str) -> None:
         first = self._noting.lines[(*place, name)] if self._noting is not None else 0
@@ -192,7 +192,11 @@ class _Reader:
         self._noting.slips.append((line, place, text))
 
 
-def _too_deep(event: Event) -> TooDeep:
+def _line(event: Any) -> int:
+    return int(event.start_mark.line) + 1
+
+
+def _too_deep(event: Any) -> TooDeep:
     problem = f"lists and keys stand more than {MOST_DEEP} deep in each other"
     return TooDeep(problem=problem, problem_mark=event.start_mark)
 
