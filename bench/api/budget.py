@@ -30,6 +30,7 @@ from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import Block, ForwardModel
 from bench.procedure.load import load_procedure
+from drivers.clock import utc_now
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def budget(
     check_limit(limit)
     limit_g = file.verification_limit_g if limit is None else limit
     question = Question(file.unit_under_test.range, limit_g, rule, trials, same_voltmeters)
-    found = assess(setup, bench_sources(file, setup), estimator, question)
+    found = assess(setup, bench_sources(file, setup, utc_now().date()), estimator, question)
     head = {
         "bench": file.name,
         "bench_file": taken.to_dict(),

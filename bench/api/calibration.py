@@ -100,6 +100,7 @@ class CalibrationResult:
             "made_at": source.made_at,
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
+            "corrections": source.traced.to_json(),
             **({} if source.run is None else {"record": record_head(source.run)}),
             "notes": [*self.doubts, *self.calibration.notes, *source.readings.notes],
             "skipped_rows": list(source.readings.skipped),
@@ -225,7 +226,11 @@ class VerificationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench verify --json` writes it."""
-        return {**self.verification.to_json(), "bench": self.source.taken.to_dict()}
+        return {
+            **self.verification.to_json(),
+            "bench": self.source.taken.to_dict(),
+            "corrections": self.source.traced.to_json(),
+        }
 
     def table(self) -> Table:
         """Return Δg at each verification point."""
