@@ -59,12 +59,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     """
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
-        order = [list(data["order"]).index(name) for name in COEFFICIENTS]
-        rows = [[_number(entry) for entry in row] for row in data["covariance"]]
-        size = len(COEFFICIENTS)
-        if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
-            raise ValueError(f"it has not {size} coefficients")
-        covariance = np.array(rows)[np.ix_(order, order)]
+        covariance = _covariance(data, "covariance")
         noise, g_m_s2 = _number(data["noise"]["reading_v"]), _number(data["g_m_s2"])
         theirs, per, simulated = data["unit"], data.get("per", "g"), data.get("simulated", False)
     except KeyError as error:
@@ -78,10 +73,39 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         raise Refused(f"{where}: not a result of 'bench calibrate --json': see its unit, per and simulated")
     if noise < 0 or g_m_s2 <= 0:
         raise Refused(f"{where}: holds a negative noise or gravity; calibrate again")
+    _refuse_impossible(covariance, where)
+    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
+
+
+def covariance_in(data: Any, name: str, where: str) -> Floats | None:
+    """Take a further covariance (12, 12) out of a result that `coefficients_of` has read; None where it has none.
+
+    Raises `Refused` that names `where` when it holds what is no covariance.
+    """
+    if data.get(name) is None:
+        return None
+    try:
+        covariance = _covariance(data, name)
+    except (ValueError, TypeError, IndexError) as error:
+        raise Refused(f"{where}: not a result of 'bench calibrate --json': its {name}: {error}") from error
+    _refuse_impossible(covariance, where)
+    return covariance
+
+
+def _covariance(data: Any, name: str) -> Floats:
+    """Return a covariance (12, 12) of a result in the order of `COEFFICIENTS`."""
+    order = [list(data["order"]).index(coefficient) for coefficient in COEFFICIENTS]
+    rows = [[_number(entry) for entry in row] for row in data[name]]
+    size = len(COEFFICIENTS)
+    if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
+        raise ValueError(f"it has not {size} coefficients")
+    return np.array(rows)[np.ix_(order, order)]
+
+
+def _refuse_impossible(covariance: Floats, where: str) -> None:
     problem = impossible(covariance)
     if problem:
         raise Refused(f"{where}: {problem}; no calibration gives that: take the file as calibrate wrote it")
-    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
 
 
 def _number(value: Any) -> float:

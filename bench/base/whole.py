@@ -41,24 +41,25 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return whole
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all. Raises `OSError` that names it.
+def write_whole(path: Path, text: str | bytes) -> None:
+    """Write a file, a text in UTF-8, so that it is there whole or not at all. Raises `OSError` that names it.
 
     A link is followed; into what is no file (`/dev/null`, a pipe) the text is written, never put in its place.
     """
+    content = text.encode() if isinstance(text, str) else text
     try:
         if path.exists() and not path.is_file():
-            path.write_text(text, encoding="utf-8", newline="")
+            path.write_bytes(content)
         else:
-            _put_in_place(Path(os.path.realpath(path)), text)
+            _put_in_place(Path(os.path.realpath(path)), content)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def _put_in_place(path: Path, text: str) -> None:
+def _put_in_place(path: Path, content: bytes) -> None:
     half = path.with_name(path.name + ".part")
     try:
-        half.write_text(text, encoding="utf-8", newline="")
+        half.write_bytes(content)
         half.replace(path)
     except OSError:
         with suppress(OSError):  # a file system that is read-only refuses that, too

@@ -29,6 +29,8 @@ COMMANDS: Final = {
     "export": "Write the readings of a run as a readings file.",
     "import": "Make a run of a readings file that was measured elsewhere.",
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
+    "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
+    " for Kalibr, PX4, ArduPilot.",
     "verify": "Δg at the verification points against the limit; exit status 1 when one is outside.",
     "report": "Write the report of a run: one HTML page.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",

@@ -85,7 +85,7 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
         write_whole(Path(target), text)
 
 
-def write_beside(path: Path, text: str, *, asked: bool) -> bool:
+def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
     """Write a derived file; say so and go on where the place is not writable, unless it was asked for."""
     from bench.base.whole import write_whole
 

@@ -19,27 +19,36 @@ ANSWERS: Final = {
     "mount again": Wish.MOUNT_AGAIN,
 }
 """What can be answered beside "go on REASON"."""
+AGAIN: Final = "the same reading again after it was redone"
 
 
-def halt_prompt(doubt: Event) -> Prompt:
-    """Return the question that a run asks which stopped for an early sign; it has no default."""
+def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
+    """Return the question that a run asks which stopped for an early sign; it has no default.
+
+    `again` says that the run stopped at this reading before and that it was redone since.
+    """
+    what, first = f"Stopped. {doubt.data['sentence']}. ", "take the point again, take the pass again"
+    answers = [*ANSWERS]
+    if again:
+        what += f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be what is wrong. "
+        first = "take the pass again, which is the first choice, take the point again"
+        answers.sort(key=lambda answer: ANSWERS[answer] is not Wish.REPEAT_PASS)
     return Prompt(
         id=f"halt@{doubt.number}",
         kind=PromptKind.CHOOSE,
-        text=f"Stopped. {doubt.data['sentence']}. Put it right, then say how to go on: take the point again, take "
-        "the pass again, mount the block again and take the pass again, or go on with the readings as they are "
-        "and say why",
-        choices=(*ANSWERS, f"{GO_ON} REASON"),
+        text=f"{what}Put it right, then say how to go on: {first}, mount the block again and take the pass "
+        "again, or go on with the readings as they are and say why",
+        choices=(*answers, f"{GO_ON} REASON"),
         action={"do": "ask"},
     )
 
 
-def how_to_go_on(person: Person, doubt: Event) -> str:
+def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
     """Ask how to go on: raise `OperatorWish` for something to be taken again, or return why it is gone on.
 
-    Raises `NoAnswer` with what the sign says where nobody answers.
+    `again` is as in `halt_prompt`. Raises `NoAnswer` with what the sign says where nobody answers.
     """
-    prompt = halt_prompt(doubt)
+    prompt = halt_prompt(doubt, again=again)
     answers = ", ".join(prompt.choices)
     trouble = ""
     for attempt in range(1, MOST_ATTEMPTS + 1):
@@ -47,9 +56,10 @@ def how_to_go_on(person: Person, doubt: Event) -> str:
         try:
             answer = person.ask(put)
         except NoAnswer as nobody:
+            told = f"{doubt.data['sentence']} ({AGAIN})" if again else doubt.data["sentence"]
             raise NoAnswer(
                 "operator",
-                f"the run stopped: {doubt.data['sentence']}; nobody said how to go on",
+                f"the run stopped: {told}; nobody said how to go on",
                 f"look at the bench, then resume and answer {answers}",
             ) from nobody
         given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
 from bench.run.events import Event, EventType
 from bench.run.manifest import RecordError
+from bench.run.states import Wish
 
 if TYPE_CHECKING:
     from bench.run.history import History
@@ -21,8 +22,9 @@ class Progress:
 
     `temperature_c` is the last one on record, `identities` those of the instruments; `remounts` gives the
     series that readings of a (series, installation) have since the block was taken off and mounted again in
-    the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `gone_on` the steps at
-    which one was overruled, `signs` how many there were.
+    the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `in_vain` the steps
+    at which one did whose point was redone for it, `gone_on` those at which one was overruled, `signs` how many
+    there were.
     """
 
     done: set[int] = field(default_factory=set)
@@ -33,6 +35,7 @@ class Progress:
     identities: dict[str, str] = field(default_factory=dict)
     remounts: dict[tuple[int, str], int] = field(default_factory=dict)
     doubt: Event | None = None
+    in_vain: set[int] = field(default_factory=set)
     gone_on: set[int] = field(default_factory=set)
     signs: int = 0
 
@@ -48,6 +51,7 @@ class Progress:
             begun_s=dict(of.begun_s),
             identities=dict(of.identities),
             remounts=dict(of.remounts),
+            in_vain=set(of.in_vain),
             gone_on=set(of.gone_on),
         )
 
@@ -72,12 +76,20 @@ class Progress:
                 self.doubt = None
                 self.gone_on.add(event.step)
             case EventType.REDO:
+                self._note_redo(event)
                 self.doubt = None
                 self.done.difference_update(event.steps)
                 self.skipped.difference_update(event.steps)
                 self.redone.update(event.steps)
             case EventType.SKIPPED:
                 self.skipped.update(event.steps)
+
+    def _note_redo(self, redo: Event) -> None:
+        """Remember at which reading the point alone was redone for a sign; more than the point begins anew."""
+        if redo.data.get("wish") != Wish.REPEAT_POINT:
+            self.in_vain.difference_update(redo.steps)
+        elif self.doubt is not None:
+            self.in_vain.add(self.doubt.step)
 
     def _note_temperature(self, brought: Mapping[str, Any]) -> None:
         """Keep the temperature last told or read; after a new setting it is not known.

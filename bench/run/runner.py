@@ -164,7 +164,8 @@ class Runner:
         """Ask how to go on where an early sign stopped the run; raises `OperatorWish` for the answer."""
         doubt = self.progress.doubt
         if doubt is not None:
-            reason = how_to_go_on(self.decider or self.person, doubt)
+            again = doubt.step in self.progress.in_vain
+            reason = how_to_go_on(self.decider or self.person, doubt, again=again)
             self._emit(EventType.WENT_ON, step=doubt.step, causes=doubt.data["causes"], reason=reason)
 
     # --- the life of a run ---------------------------------------------------------------------------

@@ -145,6 +145,24 @@ def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point
     assert abs(run.readings().signal[1, 0]) > 2.0  # x is up only at the second try
 
 
+def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(served, capsys):
+    """The head is forgotten at the redo, too; the resumed run remembers."""
+    Path("forgotten").touch()
+    status, out, err = start(capsys, answers=f"{ANSWERS}redo point\n90 0 1\n")
+    assert status == 2
+    assert "(the same reading again after it was redone); nobody said how to go on" in err
+    assert "answer redo pass, redo point, mount again, go on REASON" in err
+    Path("forgotten").unlink()
+    status, out, _ = command(capsys, "resume", "run", answers="untouched\n?\nredo pass\n0 0 2\n90 0 1\n")
+    assert status == 0
+    told = " ".join(out.split())
+    assert "The same reading again after it was redone: an earlier setting of the pass may be what" in told
+    assert "take the pass again, which is the first choice, take the point again, mount" in told
+    run = Run(Path("runs/run"))
+    assert run.history.state == "finished"
+    assert np.degrees(run.readings().angle_rad) == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)
+
+
 def test_a_person_may_go_on_in_spite_of_an_early_sign_and_says_why(served, capsys):
     Path("forgotten").touch()
     status, _, _ = start(capsys, answers=ANSWERS + "go on this head has no block on it\n")

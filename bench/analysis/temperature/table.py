@@ -23,9 +23,6 @@ ROUNDING: Final = 1e-12
 """An error below this, g, is that of double precision in computing it."""
 LOOKS: Final = 16
 """Temperatures looked at between two nodes."""
-ENTRIES: Final = (
-    "Nxx", "Nxy", "Nxz", "Nyx", "Nyy", "Nyz", "Nzx", "Nzy", "Nzz", "U0x", "U0y", "U0z",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)

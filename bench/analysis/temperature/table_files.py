@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from bench.analysis.calibration.derived import INVERSE
 from bench.analysis.temperature.model import TemperatureModel
-from bench.analysis.temperature.table import ENTRIES, CompensationTable
+from bench.analysis.temperature.table import CompensationTable
+from bench.base.c_source import comment, one_line, single
 
 
 def approximation(table: CompensationTable) -> dict[str, float | int]:
@@ -29,7 +31,7 @@ def table_json(table: CompensationTable) -> dict[str, Any]:
     return {
         "first_c": table.first_c,
         "step_k": table.step_k,
-        "entries": list(ENTRIES),
+        "entries": list(INVERSE),
         "rows": table.entries.astype(np.float64).tolist(),
         "approximation": approximation(table),
     }
@@ -53,10 +55,10 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
     """Return a C99 header that needs nothing else: the table and a function that compensates a reading."""
-    comment = "\n".join(f" * {line}" for line in facts(model, table, _plain(of)))
-    rows = ",\n".join("    {" + ", ".join(_literal(entry) for entry in row) + "}" for row in table.entries)
+    head = comment(facts(model, table, one_line(of)))
+    rows = ",\n".join("    {" + ", ".join(single(entry) for entry in row) + "}" for row in table.entries)
     return f"""/*
-{comment}
+{head}
  */
 #ifndef BENCH_COMPENSATION_H
 #define BENCH_COMPENSATION_H
@@ -64,11 +66,11 @@ def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
 #define COMPENSATION_NODES {table.nodes}
 #define COMPENSATION_LOCAL_GRAVITY_M_S2 {model.g_m_s2!r}
 
-static const float compensation_first_c = {_literal(np.float32(table.first_c))};
-static const float compensation_last_c = {_literal(np.float32(model.maximum_c))};
-static const float compensation_steps_per_k = {_literal(np.float32(1.0 / table.step_k))};
+static const float compensation_first_c = {single(np.float32(table.first_c))};
+static const float compensation_last_c = {single(np.float32(model.maximum_c))};
+static const float compensation_steps_per_k = {single(np.float32(1.0 / table.step_k))};
 
-/* {", ".join(ENTRIES)} at each temperature */
+/* {", ".join(INVERSE)} at each temperature */
 static const float compensation_table[COMPENSATION_NODES][12] = {{
 {rows}
 }};
@@ -115,19 +117,9 @@ static inline int compensation_specific_force(const float u[3], float t_c, float
 def table_csv(model: TemperatureModel, table: CompensationTable, of: str) -> str:
     """Return the table as CSV, headed by comment lines that begin with #."""
     out = io.StringIO()
-    out.writelines(f"# {line}\r\n" for line in facts(model, table, _plain(of)))
+    out.writelines(f"# {line}\r\n" for line in facts(model, table, one_line(of)))
     writer = csv.writer(out, lineterminator="\r\n")
-    writer.writerow(["temperature_c", *ENTRIES])
+    writer.writerow(["temperature_c", *INVERSE])
     for t, row in zip(table.temperatures_c, table.entries, strict=True):
         writer.writerow([f"{t:.6f}", *(f"{entry:.9g}" for entry in row)])
     return out.getvalue()
-
-
-def _plain(text: str) -> str:
-    """A name from outside, so that it can neither end a comment nor begin a line."""
-    return " ".join(text.replace("*/", "* /").split()).rstrip("\\")
-
-
-def _literal(value: np.float32) -> str:
-    text = f"{float(value):.9g}"
-    return f"{text}f" if any(mark in text for mark in ".en") else f"{text}.0f"

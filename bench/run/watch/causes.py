@@ -2,7 +2,9 @@
 
 Mistakes of one reading (a wrong setting) are supposed for that reading alone; mistakes of cabling and of
 the procedure also for the whole run or mounting so far, since before the model knows the block they are
-taken for a property of it. The likelihood of all readings decides; equally likely ones are all named.
+taken for a property of it. A wrong setting that could not be seen in an earlier reading is supposed there as
+well, and the later readings are held against what is known of the block without it. The likelihood of all
+readings decides; equally likely ones are all named.
 """
 
 from __future__ import annotations
@@ -15,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model import Block, Conditions, ForwardModel
+from bench.model import Block, ForwardModel
 from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judgement, NoiseSizes, poses
+from bench.run.watch.sighting import ABSENT, AS_IT_IS, SHIFTS, Member, Replay, Sighting, Suspect
 from bench.run.watch.suppositions import (
     CABLED,
     CABLINGS,
@@ -52,76 +55,8 @@ MOST_CANDIDATES: Final = 12
 """Earlier readings that are suspected at once; it bounds the time that a warning takes in a long run."""
 
 
-@dataclass
-class Sighting:
-    """A reading as the early warning keeps it.
-
-    `new_mount` says that the block was mounted before it, `loosened` (12,) by how much the coefficients may
-    have moved, as variances. `taken`: the model has learnt from it; `poorly_known`: when it was taken the
-    model could not yet have seen a mistake in it; `struck`: known to be wrong, or taken again.
-    `poses` are as recorded, with the head's sense reversed, and in each of the other installations.
-    `sat_before` is the installation of the mounting before, `last_rad` where the head stood at the reading
-    before on this mounting, `pivot_rad` at the last that fitted, `next_rad` where it goes next, None where there
-    is none.
-    """
-
-    place: str
-    row: Conditions
-    signal_v: Floats
-    pose: ExpectedPose
-    new_mount: bool
-    loosened: Floats
-    reading_place: tuple[int, str, int, int] = (0, "", 0, 0)
-    sat_before: str | None = None
-    last_rad: float | None = None
-    pivot_rad: float | None = None
-    next_rad: float | None = None
-    taken: bool = False
-    poorly_known: bool = False
-    struck: bool = False
-    poses: ExpectedPose | None = None
-
-    @property
-    def installation(self) -> str:
-        """The installation that the record states."""
-        return self.row.mounts[0].installation
-
-    @property
-    def angle_rad(self) -> float:
-        """The angle that was read back."""
-        return float(self.row.angle_rad[0])
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A supposition that explains a reading, and its cost.
-
-    `earlier` is the reading that is at fault instead, `member` who in the replay left it out. `moved_rad`
-    with its uncertainty is set where the head or the block is supposed off by an angle. `stops` says that no
-    effect looks like it: a run is stopped for it.
-    """
-
-    text: str
-    kind: Kind
-    cost: float
-    stops: bool = True
-    earlier: int | None = None
-    member: int = 0
-    moved_rad: float | None = None
-    u_rad: float = 0.0
-
-
-@dataclass(frozen=True)
-class Replay:
-    """All readings gone through once more: the state of each member at the end and what it took in.
-
-    `cost` (m,) of all readings, `before` that of the base member without the last one; `taken` (n, m).
-    """
-
-    state: Expectation
-    cost: Floats
-    before: float
-    taken: NDArray[np.bool_]
+AS_RECORDED: Final = Member(Supposed("", Kind.EARLIER))
+"""Supposes nothing."""
 
 
 @dataclass(frozen=True)
@@ -177,16 +112,7 @@ class Inquiry:
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """The block moved in the plane of rotation or out of it, or one channel off, by whatever fits."""
-        scale = state.scale_factors[0]
-        turn = self.model.installations[sighting.installation].block_from_platform
-        size = CHANNEL_OFF_G * np.linalg.norm(scale, axis=1)
-        further = np.stack(
-            [
-                MOVED_RAD * (scale @ sighting.pose.slopes[0, :, SETTING]),
-                MOVED_RAD * (scale @ turn[:, 1]),
-                *np.diag(size),
-            ]
-        )
+        further = self._shifts(sighting, state)
         judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
         weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
         part = (weighed * judged.residual).sum(axis=-1)
@@ -196,7 +122,7 @@ class Inquiry:
         tilted = f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation"
         supposed = [Supposed(about, Kind.MOVED), Supposed(tilted, Kind.TILTED)]
         for i, channel in enumerate(CHANNELS):
-            off_v = part[2 + i] * size[i]
+            off_v = part[2 + i] * further[2 + i, i]
             text = f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)"
             supposed.append(Supposed(text, Kind.CHANNEL))
         large = [*(np.abs(moved[:2]) > LARGE_RAD), *(np.abs(part[2:]) * CHANNEL_OFF_G > LARGE_G)]
@@ -211,7 +137,7 @@ class Inquiry:
     def _fitting(self, supposed: Sequence[Supposed], judged: Judgement, before: float) -> list[Suspect]:
         cost = judged.cost(self.most)
         return [
-            Suspect(one.text, one.kind, before + float(cost[index]) + one.unlikely)
+            Suspect(one.text, one.kind, before + float(cost[index]) + one.unlikely, free=one.kind in FREE)
             for index, one in enumerate(supposed)
             if judged.chi2[index] <= self.most
         ]
@@ -237,63 +163,67 @@ class Inquiry:
         """
         mounted = max(i for i, s in enumerate(history) if s.new_mount)
         others = self._others(history[-1], few=len(history) - mounted <= FEW)
-        left_out = candidates(history)
-        supposed = [
-            Supposed("", Kind.EARLIER),
-            *CABLED,
-            Supposed("the head counts the other way", Kind.ROTATION),
-            Supposed("the head was turned the wrong way since the block was mounted", Kind.ROTATION),
-            *others.values(),
-            *(
-                Supposed(f"{history[k].place} was wrong", Kind.EARLIER, UNLIKELY[Kind.EARLIER])
-                for k in left_out
-            ),
+        wrong_way = Supposed("the head was turned the wrong way since the block was mounted", Kind.ROTATION)
+        members = [
+            AS_RECORDED,
+            *(Member(one, cabling) for one, cabling in zip(CABLED, CABLINGS.values(), strict=True)),
+            Member(Supposed("the head counts the other way", Kind.ROTATION), pose=1),
+            *([Member(wrong_way, pose=1, since=mounted)] if mounted else []),
+            *(Member(one, pose=2 + i, since=mounted) for i, one in enumerate(others.values())),
+            *(member for k in candidates(history) for member in self._wrong_before(history[k], k)),
         ]
-        members = len(supposed)
-        cabling = np.tile(np.eye(3), (members, 1, 1))
-        cabling[1 : 1 + len(CABLINGS)] = np.stack(list(CABLINGS.values()))
-        pose = np.zeros((len(history), members), dtype=np.int64)
-        rotation = 1 + len(CABLINGS)
-        pose[:, rotation] = 1
-        pose[mounted:, rotation + 1] = 1
-        for number in range(len(others)):
-            pose[mounted:, rotation + 2 + number] = 2 + number
-        absent = np.zeros((len(history), members), dtype=bool)
-        for member, k in enumerate(left_out, start=members - len(left_out)):
-            absent[k, member] = True
-        replay = self.replay(history, cabling, pose, absent)
-        earlier = [None] * (members - len(left_out)) + list(left_out)
+        replay = self.replay(history, members)
         return [
-            Suspect(one.text, one.kind, float(replay.cost[j]) + one.unlikely, earlier=earlier[j], member=j)
-            for j, one in enumerate(supposed)
-            if j and replay.taken[-1, j] and (mounted or j != rotation + 1)
+            Suspect(
+                member.supposed.text,
+                member.supposed.kind,
+                float(replay.cost[j]) + member.supposed.unlikely,
+                earlier=member.reading,
+                free=member.shift != AS_IT_IS,
+            )
+            for j, member in enumerate(members)
+            if j and replay.taken[-1, j]
         ], replay
 
-    def replay(
-        self,
-        history: Sequence[Sighting],
-        cabling: Floats | None = None,
-        pose: NDArray[np.int64] | None = None,
-        absent: NDArray[np.bool_] | None = None,
-    ) -> Replay:
-        """Go through all readings again; without arguments as they were recorded, with one member.
+    def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
+        """Suppose that reading `k` was wrong: left out, off by whatever size fits, or a setting like it."""
+        unlikely, was_wrong = UNLIKELY[Kind.EARLIER], f"{sighting.place} was wrong"
+        somehow = Supposed(was_wrong, Kind.EARLIER, unlikely)
+        first = 2 + len(self._others(sighting, few=True))
+        settings = [
+            Supposed(f"{was_wrong}: {at.supposed.text}", Kind.EARLIER, unlikely + at.supposed.unlikely)
+            for at in _settings(sighting)
+        ]
+        return [
+            *(Member(somehow, reading=k, shift=shift) for shift in (ABSENT, *range(SHIFTS))),
+            *(Member(one, pose=first + i, reading=k) for i, one in enumerate(settings)),
+        ]
 
-        `cabling` (m, 3, 3) makes the signals right, `pose` (n, m) chooses among a sighting's poses, `absent`
-        (n, m) leaves readings out, which costs as much as one that does not fit.
+    def without(self, history: Sequence[Sighting], k: int) -> Replay:
+        """Go through all readings but the one at `k` again."""
+        return self.replay(history, [Member(Supposed("", Kind.EARLIER), reading=k, shift=ABSENT)])
+
+    def replay(self, history: Sequence[Sighting], members: Sequence[Member] = (AS_RECORDED,)) -> Replay:
+        """Go through all readings again; without members as they were recorded.
+
+        A reading that is left out costs as much as one that does not fit.
         """
-        members = 1 if cabling is None else len(cabling)
-        state = self.prior.repeated(members)
-        cost, before, taken = np.zeros(members), 0.0, np.zeros((len(history), members), dtype=bool)
+        state = self.prior.repeated(len(members))
+        cabling = np.stack([member.cabling for member in members])
+        cost, before = np.zeros(len(members)), 0.0
+        taken = np.zeros((len(history), len(members)), dtype=bool)
         for i, sighting in enumerate(history):
             if sighting.new_mount:
                 state.remount(self.stand_u)
             state.loosen(sighting.loosened)
-            at = sighting.pose
-            if pose is not None and pose[i].any():
-                at = _chosen(self._all_poses(sighting), pose[i])
-            signal = sighting.signal_v if cabling is None else cabling @ sighting.signal_v
-            judged = state.judge(signal, at, self.noise)
-            present = np.ones(members, dtype=bool) if absent is None else ~absent[i]
+            pose = np.array([member.pose_at(i) for member in members])
+            at = _chosen(self._all_poses(sighting), pose) if pose.any() else sighting.pose
+            shift = np.array([member.shift_at(i) for member in members])
+            further = None
+            if (shift < SHIFTS).any():
+                further = np.concatenate([self._shifts(sighting, state), np.zeros((2, 3))])[shift]
+            judged = state.judge(cabling @ sighting.signal_v, at, self.noise, further)
+            present = shift != ABSENT
             taken[i] = (judged.chi2 <= self.most) & present & (not sighting.struck)
             before = float(cost[0])
             if not sighting.struck:
@@ -305,10 +235,30 @@ class Inquiry:
         if sighting.poses is None:
             label, angle = sighting.installation, sighting.angle_rad
             others = list(self._others(sighting, few=True))
-            angles = np.array([angle, -angle, *[angle] * len(others)])
-            labels = [label, label, *others]
+            settings = [angle + one.off_rad for one in _settings(sighting)]
+            angles = np.array([angle, -angle, *[angle] * len(others), *settings])
+            labels = [label, label, *others, *[label] * len(settings)]
             sighting.poses = poses(self.model, self.nominal, sighting.row, labels, angles)
         return sighting.poses
+
+    def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
+        """Prior 1 σ (5, 3), V, of what is off by any size: the block about the shaft, or tilted; each channel."""
+        scale = state.scale_factors[0]
+        turn = self.model.installations[sighting.installation].block_from_platform
+        return np.stack(
+            [
+                MOVED_RAD * (scale @ sighting.pose.slopes[0, :, SETTING]),
+                MOVED_RAD * (scale @ turn[:, 1]),
+                *np.diag(CHANNEL_OFF_G * np.linalg.norm(scale, axis=1)),
+            ]
+        )
+
+
+def _settings(sighting: Sighting) -> list[Elsewhere]:
+    """Where the head may have stood otherwise at an earlier reading, by so much that a run is stopped for it."""
+    at, label = sighting.angle_rad, sighting.installation
+    found = head_elsewhere(label, at, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
+    return [one for one in found if abs(one.off_rad) > LARGE_RAD]
 
 
 def candidates(history: Sequence[Sighting]) -> list[int]:
@@ -326,7 +276,7 @@ def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
     best = min(ranked.values(), key=lambda s: s.cost, default=None)
     if best is None:
         return []
-    rivals = (s for s in ranked.values() if best.kind in FREE or s.kind not in FREE)
+    rivals = (s for s in ranked.values() if best.free or not s.free)
     return sorted((s for s in rivals if s.cost - best.cost < TIE), key=lambda s: s.cost)
 
 

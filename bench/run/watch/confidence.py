@@ -3,8 +3,8 @@
 The rule. A reading is *far beyond chance* where so large a misfit comes by chance in a whole run with a probability
 below `STOP_ALARM`. A run is stopped
 
-- at such a reading, where one mistake alone explains it (no other is within `TIE` of its cost, odds of 20 : 1), or
-  several do and no further reading of the mounting will tell them apart;
+- at such a reading, where one mistake alone explains it (no other, in it or in a reading before, is within `TIE`
+  of its cost, odds of 20 : 1), or several do and no further reading of the mounting will tell them apart;
 - at the second of two readings in a row that do not fit, each beyond `FALSE_ALARM` for the run, where mistakes
   explain it: one, or several that these readings cannot tell apart, which are then all named;
 - at the reading after one far beyond chance that several mistakes explained, if it fits itself: then the one
@@ -25,7 +25,7 @@ from typing import Final
 from scipy.special import chdtri
 
 from bench.model import Mounting
-from bench.run.watch.causes import Sighting, Suspect
+from bench.run.watch.sighting import Sighting, Suspect
 from bench.run.watch.suppositions import LASTING, Kind
 
 STOP_ALARM: Final = 1e-6
@@ -70,8 +70,8 @@ class Confidence:
         `off_v` is by how much its signals are off.
         """
         self._undecided = None
-        causes = [cause for cause in causes if cause.kind is not Kind.EARLIER]
-        if not causes or not all(cause.stops for cause in causes):
+        named = [cause for cause in causes if cause.kind is not Kind.EARLIER or not cause.free]
+        if not named or not all(cause.stops for cause in named):
             self._unexplained_v = max(self._unexplained_v, off_v)
             return False
         if off_v < CLEARLY * self._unexplained_v or self._is_accepted(sighting, causes):

@@ -26,9 +26,10 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.model import Block, ForwardModel
 from bench.readings.reading import Reading, readings_of
 from bench.readings.table import UNORIENTED
-from bench.run.watch.causes import Inquiry, Replay, Sighting, Suspect, likeliest
+from bench.run.watch.causes import Inquiry, likeliest
 from bench.run.watch.confidence import Confidence
 from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, RepeatNoise, poses
+from bench.run.watch.sighting import Sighting, Suspect
 from bench.run.watch.sign import EarlySign, millivolts, misfit, why
 from bench.run.watch.suppositions import orientations
 from drivers.angles import format_dms
@@ -298,10 +299,10 @@ class EarlyWarning:
         self._in_a_row += 1
         chi2, off_v = float(judged.chi2[0]), float(np.linalg.norm(judged.residual[0]))
         at_fault = None
-        if len(causes) == 1 and causes[0].earlier is not None:
-            wrong = self._history[causes[0].earlier]
-            causes = self._blame_earlier(causes[0].earlier, replay, causes[0].member)
-            at_fault = wrong
+        before = {cause.earlier for cause in causes}
+        if len(before) == 1 and (earlier := before.pop()) is not None:
+            at_fault = wrong = self._history[earlier]
+            causes = self._blame_earlier(earlier)
             confident = wrong.row.mounts == sighting.row.mounts and self._confidence.earlier(
                 chi2, off_v, causes
             )
@@ -363,10 +364,11 @@ class EarlyWarning:
             wrong=(at_fault or sighting).reading_place if confident else None,
         )
 
-    def _blame_earlier(self, index: int, replay: Replay, member: int) -> list[Suspect]:
+    def _blame_earlier(self, index: int) -> list[Suspect]:
         """Strike an earlier reading and go on from the model without it; return what explains it."""
         wrong = self._history[index]
-        self._adopt(replay.taken[:, member], replay.state.member(member))
+        replay = self._inquiry().without(self._history, index)
+        self._adopt(replay.taken[:, 0], replay.state)
         wrong.struck = True
         self._in_a_row = 0
         if wrong.row.mounts != self._history[-1].row.mounts:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -184,6 +185,39 @@ def test_a_setting_that_was_wrong_before_the_model_could_know_is_found_afterward
     assert number <= 6
     assert sign.at_fault == "installation 1, pass 1, point 2 at 45°00′00″"
     assert "the setting is 1° off: the head stood at 46°00′00″" in sign.causes
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("number", "off_deg", "cause"), [(3, 1.0, "1° off"), (3, -45.0, "not turned")])
+def test_a_wrong_setting_before_the_model_could_know_is_not_laid_to_a_later_reading(
+    number, off_deg, cause, seed
+):
+    """At 90° a setting shows in one channel alone, and so it does in what is expected of the next point.
+
+    Without the mistake's name the next reading's channel would explain it as well: 2.4 times 37 mV at point 4.
+    """
+    rows = run_of(seed, off_rad=at(number, np.radians(off_deg)))
+    stop = next(sign for _, sign in watch(rows) if sign.confident)
+    assert stop.wrong == (1, "1", 1, number)
+    assert any(cause in named for named in stop.causes)
+    assert not any("channel" in named for named in stop.causes)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_of_a_shift_of_no_certain_size_neither_reading_is_blamed_alone(seed):
+    """z 60 mV off at point 3, or 145 mV at point 4: four readings cannot tell, the fifth does."""
+
+    def wired(signal):
+        signal[2, 2] += 60e-3
+        return signal
+
+    rows = run_of(seed, wired=wired)[:9]
+    following = {row.place: np.radians(after.angle_deg) for row, after in pairwise(rows)}
+    signs = dict(watch(rows, EarlyWarning(NOMINAL, MODEL, BENCH_U, following=following)))
+    assert any("channel z alone is off by" in cause for cause in signs[4].causes)
+    assert "installation 1, pass 1, point 3 at 90°00′00″ was wrong" in signs[4].causes
+    assert not signs[4].confident
+    assert signs[5].at_fault == "installation 1, pass 1, point 3 at 90°00′00″"
 
 
 def test_one_channel_that_is_off_once_is_named():

@@ -1,0 +1,162 @@
+"""A calibration for others: out of runs, readings files and results of `calibrate --json`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.api.calibration import calibration_of
+from bench.api.coefficients import coefficients_of, covariance_in
+from bench.api.errors import Refused
+from bench.api.source import Request, Source, load_sources
+from bench.base.arrays import Floats
+from bench.base.whole import from_text
+from bench.exchange.forms import FORMS
+from bench.exchange.result import BlockResult
+from bench.model.block import COEFFICIENTS
+from bench.run.manifest import MANIFEST
+
+ALL = "all"
+DEFAULT_K = 2.0
+
+
+@dataclass(frozen=True)
+class Given:
+    """A calibration to be written: `result`, and where its files go; `source` is None for a JSON file's."""
+
+    result: BlockResult
+    stem: Path
+    source: Source | None
+
+    def file(self, suffix: str) -> Path:
+        """Return the file whose name ends so."""
+        if self.source is None:
+            return self.stem.with_name(self.stem.name + suffix)
+        return self.source.output("coefficients", suffix, what_if=self.source.what_if)
+
+
+def results_of(request: Request) -> list[Given]:
+    """Calibrate what is to be calibrated and read what is a result already. Raises `Refused`."""
+    names = [name for name in request.sources if isinstance(name, str) and _is_result(Path(name))]
+    asked = (request.bench, request.model, request.g_m_s2)
+    if names and (any(value is not None for value in asked) or request.skip_bad_rows):
+        raise Refused(
+            f"{names[0]}: is a result already, made with its own bench file, model and gravity; leave out --bench, "
+            "--model, --g and --skip-bad-rows, or give its readings"
+        )
+    found: list[Given] = []
+    for name in request.sources:
+        if name in names:
+            found += _read(Path(str(name)), request.out)
+        else:
+            (source,) = load_sources(replace(request, sources=[name]))
+            result = calibration_of(source).to_dict()
+            found.append(Given(block_result(result, source.name), Path(), source))
+    files = [given.file("") for given in found]
+    for file in files:
+        if files.count(file) > 1:
+            raise Refused(f"--out: two sources would write {file}*; give each a folder of its own")
+    return found
+
+
+def _is_result(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST
+
+
+def _read(path: Path, out: Path | None) -> list[Given]:
+    try:
+        data = from_text(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except ValueError as error:
+        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+    results = data if isinstance(data, list) else [data]
+    many = len(results) > 1
+    stem = (out or path.parent / "coefficients") / path.stem
+    return [
+        Given(
+            block_result(one, f"{path}, result {k}" if many else str(path)),
+            stem.with_name(f"{stem.name}-{k}") if many else stem,
+            None,
+        )
+        for k, one in enumerate(results, 1)
+    ]
+
+
+def block_result(data: Any, where: str) -> BlockResult:
+    """Take all that is to be written out of a result of `calibrate --json`, of this version or one before.
+
+    Raises `Refused` that names `where` when it is not one.
+    """
+    taken = coefficients_of(data, where)
+    unit = data.get("unit_under_test")
+    block = unit if isinstance(unit, Mapping) else {}
+    bench = data.get("bench")
+    stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
+    factors = [_positive(entry.get("k")) for entry in stated.values()]
+    expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
+    return BlockResult(
+        block=taken.block,
+        covariance=taken.covariance,
+        unit=taken.unit,
+        g_m_s2=taken.g_m_s2,
+        source=_text(data.get("source")) or where,
+        block_type=_text(block.get("type")),
+        serial=_text(block.get("serial")),
+        made_at=_text(data.get("made_at")),
+        bench={str(name): _text(said) for name, said in bench.items()}
+        if isinstance(bench, Mapping)
+        else None,
+        simulated=taken.simulated,
+        k=max((factor for factor in factors if factor), default=DEFAULT_K),
+        expanded={name: size for name, size in expanded.items() if size},
+        covariance_readings=covariance_in(data, "covariance_readings", where),
+    )
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _positive(value: object) -> float:
+    """Return a number that a result states, 0 where it states none."""
+    return float(value) if isinstance(value, int | float) and np.isfinite(value) and value > 0 else 0.0
+
+
+def forms_of(names: list[str]) -> list[str]:
+    """Return the forms asked for, each once, in their order; "all" is every one. Raises `Refused`."""
+    strange = [name for name in names if name not in FORMS and name != ALL]
+    if strange:
+        known = ", ".join([*FORMS, ALL])
+        raise Refused(f"--as {', '.join(strange)}: the forms are {known}")
+    return list(FORMS) if ALL in names else list(dict.fromkeys(names))
+
+
+def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
+    """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` where they are none."""
+    if text is None:
+        return None
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (3,) or not np.all(np.isfinite(values) & (values != 0)):
+        raise Refused(
+            f"--nominal {text}: three scale factors in unit/g with their signs, such as -2.18,-2.14,-2.14"
+        )
+    for result in results:
+        if result.unit in {"g", "m/s^2"}:
+            raise Refused(
+                f"--nominal: the signals of {result.source} are in {result.unit} already; leave it out"
+            )
+        found = np.diag(result.block.K)
+        if np.any(found * values < 0):
+            raise Refused(
+                f"--nominal {text}: {result.source} has scale factors of other signs "
+                f"({', '.join(f'{v:.4g}' for v in found)} {result.unit}/g)"
+            )
+    return values

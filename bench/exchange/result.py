@@ -1,0 +1,154 @@
+"""What every form of a calibration carries: the numbers, what is derived from them, and where they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from bench.analysis.calibration.derived import Derived, inverse, misalignments
+from bench.base.arrays import Floats, u_of
+from bench.base.c_source import one_line
+from bench.model.block import COEFFICIENTS, Block
+
+SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
+CONVENTION = "K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1"
+COMBINED = "combined: the stand, the noise of the readings, and every other source that the bench has"
+OF_READINGS = "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number with its standard and its expanded uncertainty, all in `unit`."""
+
+    name: str
+    value: float
+    u: float
+    U: float
+    unit: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it without its name."""
+        return {"value": self.value, "u": self.u, "U": self.U, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class BlockResult:
+    """The coefficients of one block: U = K a + U0, a in g of the place, `g_m_s2`, U in `unit`.
+
+    `covariance` (12, 12) in the order of `COEFFICIENTS`, `combined` whether it holds more than what the readings
+    show (`covariance_readings`, None where that is all there is). `expanded` are the U by name that the result
+    states; for all else U is `k` times u. `bench` is what a result says of its bench file. `block_type`,
+    `serial` and `made_at` are empty where nobody states them.
+    """
+
+    block: Block
+    covariance: Floats
+    unit: str
+    g_m_s2: float
+    source: str
+    block_type: str = ""
+    serial: str = ""
+    made_at: str = ""
+    bench: Mapping[str, str] | None = None
+    simulated: bool = False
+    k: float = 2.0
+    expanded: Mapping[str, float] | None = None
+    covariance_readings: Floats | None = None
+
+    @property
+    def combined(self) -> bool:
+        """Whether u holds every source of the bench, or what the readings show alone."""
+        return self.covariance_readings is not None
+
+    @cached_property
+    def inverse(self) -> Derived:
+        """N and U0 of a = N (U - U0)."""
+        return inverse(self.block, self.covariance)
+
+    @cached_property
+    def misalignments(self) -> Derived:
+        """The six angles of the input axes, rad."""
+        return misalignments(self.block, self.covariance)
+
+    @property
+    def coefficient_rows(self) -> list[Row]:
+        """The twelve coefficients."""
+        own = Derived(COEFFICIENTS, self.block.vector, self.covariance)
+        return self._rows(own, lambda name: self.unit if name.startswith("U0") else f"{self.unit}/g")
+
+    @property
+    def inverse_rows(self) -> list[Row]:
+        """N and U0."""
+        return self._rows(
+            self.inverse, lambda name: self.unit if name.startswith("U0") else self.inverse_unit
+        )
+
+    @property
+    def misalignment_rows(self) -> list[Row]:
+        """The six angles."""
+        return self._rows(self.misalignments, lambda _: "rad")
+
+    @property
+    def inverse_unit(self) -> str:
+        """The unit of N."""
+        return "g/(m/s^2)" if self.unit == "m/s^2" else f"g/{self.unit}"
+
+    def _rows(self, derived: Derived, unit_of: Any) -> list[Row]:
+        stated = self.expanded or {}
+        sizes = zip(derived.names, derived.values.tolist(), u_of(derived.covariance).tolist(), strict=True)
+        return [Row(n, value, u, stated.get(n, self.k * u), unit_of(n)) for n, value, u in sizes]
+
+    @property
+    def block_name(self) -> str:
+        """Type and serial number of the block."""
+        return f"{self.block_type} {self.serial}".strip()
+
+    def facts(self) -> dict[str, str]:
+        """Return what heads each form, in its order; texts from outside in one line each."""
+        told = {
+            **({"mark": SIMULATED} if self.simulated else {}),
+            "block": self.block_name or "not stated",
+            "source": self.source,
+            "made at": self.made_at or "not stated",
+            "bench": (self.bench or {}).get("name", "not stated"),
+            "local gravity": f"g = {self.g_m_s2!r} m/s^2: accelerations are in this g unless said otherwise",
+            "uncertainty": f"u standard, U = k u with k = {self.k:g}; {COMBINED if self.combined else OF_READINGS}",
+        }
+        return {name: one_line(text) for name, text in told.items()}
+
+    def head(self) -> list[str]:
+        """Return the facts as lines."""
+        return [f"{name}: {text}" if name != "mark" else text for name, text in self.facts().items()]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all of it."""
+        readings = self.covariance_readings
+        return {
+            "source": self.source,
+            "unit_under_test": {"type": self.block_type, "serial": self.serial} if self.block_name else None,
+            "made_at": self.made_at or None,
+            "bench": dict(self.bench) if self.bench else None,
+            "simulated": self.simulated,
+            "unit": self.unit,
+            "g_m_s2": self.g_m_s2,
+            "k": self.k,
+            "combined": self.combined,
+            "coefficients": {row.name: row.to_json() for row in self.coefficient_rows},
+            "order": list(COEFFICIENTS),
+            "covariance": self.covariance.tolist(),
+            "covariance_readings": None if readings is None else readings.tolist(),
+            "inverse": {
+                "model": "a = N (U - U0), a in g",
+                "values": {row.name: row.to_json() for row in self.inverse_rows},
+                "order": list(self.inverse.names),
+                "covariance": self.inverse.covariance.tolist(),
+            },
+            "misalignments": {
+                "convention": CONVENTION,
+                "values": {row.name: row.to_json() for row in self.misalignment_rows},
+                "order": list(self.misalignments.names),
+                "covariance": self.misalignments.covariance.tolist(),
+            },
+        }

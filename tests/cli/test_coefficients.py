@@ -1,0 +1,117 @@
+"""bench coefficients: from runs, readings files and results, in the forms asked for."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.exchange.forms import FORMS
+from tests.support.pages import ROOT
+from tests.support.schemas import keeps_to
+
+RECORDS = ROOT / "tests" / "data" / "records"
+DATA = ROOT / "tests" / "data"
+
+
+@pytest.fixture
+def finished(bench):
+    shutil.copytree(RECORDS / "finished", "runs/finished")
+    return bench
+
+
+def test_a_run_in_every_form_each_in_its_folder_with_what_it_loses(finished):
+    status, out, err = finished("coefficients", "finished", "--as", "all", "--json", "here.json")
+    assert (status, err) == (0, "")
+    assert out.splitlines()[0].startswith("bench file: paper-stand")
+    assert "SIMULATED" in out
+    written = {path.name for path in Path("runs/finished").glob("coefficients*")}
+    assert written == {f"coefficients{form.suffix}" for form in FORMS.values()}
+    assert out.count("|a| is off by up to 13 mg, the vector a by up to 22 mg") == 2
+    result = json.loads(Path("here.json").read_text(encoding="utf-8"))
+    keeps_to("coefficients", result)
+    assert result == json.loads(Path("runs/finished/coefficients.json").read_text(encoding="utf-8"))
+    assert result["simulated"]
+    assert "alpha_yx" in out
+    N = np.array([entry["value"] for entry in result["inverse"]["values"].values()])[:9].reshape(3, 3)
+    K = np.array([entry["value"] for entry in result["coefficients"].values()])[:9].reshape(3, 3)
+    assert pytest.approx(np.eye(3), abs=1e-14) == N @ K
+
+
+def test_a_result_and_the_readings_that_it_is_of_give_the_same_numbers(bench):
+    shutil.copy(RECORDS / "readings.csv", "r.csv")
+    assert bench("calibrate", "r.csv", "--json", "result.json")[0] == 0
+    assert bench("coefficients", "r.csv", "--json", "a.json")[0] == 0
+    assert bench("coefficients", "result.json", "--json", "b.json")[0] == 0
+    of_readings, of_result = (json.loads(Path(name).read_text()) for name in ("a.json", "b.json"))
+    assert of_readings == of_result
+    keeps_to("coefficients", of_result)
+    assert Path("coefficients/r.json").is_file()
+    assert Path("coefficients/result.json").is_file()
+
+
+def test_what_the_result_says_of_its_uncertainty_is_passed_on(bench):
+    """A result with a combined covariance, a k of its own and the part that the readings show."""
+    given = json.loads((RECORDS / "calibrate.json").read_text(encoding="utf-8"))
+    given = given[0] if isinstance(given, list) else given
+    readings = np.array(given["covariance"])
+    given.update(covariance=(4 * readings).tolist(), covariance_readings=readings.tolist())
+    for entry in given["coefficients"].values():
+        entry.update(k=2.13, U=2.13 * entry["u"], dof=17.0)
+    Path("whole.json").write_text(json.dumps(given), encoding="utf-8")
+    status, out, _ = bench("coefficients", "whole.json", "--json", "out.json", "--as", "csv")
+    assert status == 0
+    assert "combined: the stand" in out
+    result = json.loads(Path("out.json").read_text(encoding="utf-8"))
+    keeps_to("coefficients", result)
+    assert result["combined"]
+    assert result["k"] == 2.13
+    assert result["coefficients"]["Kxx"]["U"] == given["coefficients"]["Kxx"]["U"]
+    nxx = result["inverse"]["values"]["Nxx"]
+    assert nxx["U"] == pytest.approx(2.13 * nxx["u"])
+    assert result["covariance_readings"] == given["covariance_readings"]
+
+
+def test_several_results_in_one_file_are_numbered(bench):
+    one = json.loads((RECORDS / "calibrate.json").read_text(encoding="utf-8"))
+    one = one[0] if isinstance(one, list) else one
+    Path("two.json").write_text(json.dumps([one, one]), encoding="utf-8")
+    assert bench("coefficients", "two.json", "--as", "csv")[0] == 0
+    assert {path.name for path in Path("coefficients").iterdir()} == {"two-1.csv", "two-2.csv"}
+
+
+def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(bench):
+    arguments = ["coefficients", DATA / "xsens-38.csv", "--g", "9.81744", "--out", ".", "--as", "ardupilot"]
+    status, out, _ = bench(*arguments, "--nominal", "4063,4040,4065")
+    assert status == 0
+    assert "S = (4063.0, 4040.0, 4065.0) counts/g" in Path("xsens-38-ardupilot.param").read_text()
+    assert "INS_ACCOFFS_X = 79.95 is outside -3.5 to 3.5, which ArduPilot allows" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ("finished", "--as", "matlab"),
+            "--as matlab: the forms are json, csv, c, excel, kalibr, px4, ardupilot, all",
+        ),
+        (("finished", "--nominal", "2,2"), "--nominal 2,2: three scale factors"),
+        (("finished", "--nominal", "2.18,-2.14,-2.14"), "has scale factors of other signs"),
+        (("result.json", "--g", "9.81"), "result.json: is a result already"),
+        (("finished", "finished"), "two sources would write"),
+        (("broken.json",), "broken.json: not a result of 'bench calibrate --json'"),
+        (("odd.json",), "odd.json: the covariance is not symmetric"),
+    ],
+)
+def test_mistakes_are_one_line_each(finished, arguments, told):
+    shutil.copy(RECORDS / "calibrate.json", "result.json")
+    Path("broken.json").write_text("{", encoding="utf-8")
+    one = json.loads((RECORDS / "calibrate.json").read_text(encoding="utf-8"))
+    one = one[0] if isinstance(one, list) else one
+    one["covariance_readings"] = np.triu(np.array(one["covariance"])).tolist()
+    Path("odd.json").write_text(json.dumps(one), encoding="utf-8")
+    status, _, err = finished("coefficients", *arguments)
+    assert status == 2
+    assert told in err
+    assert err.count("\n") == 1
