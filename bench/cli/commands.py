@@ -35,6 +35,8 @@ COMMANDS: Final = {
     "report": "Write the report of a run: one HTML page.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
     "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",
+    "tumble": "Each axis of a multi-point tumble by IEEE 1293:"
+    " bias, scale factor, misalignments, K2, K3, Koq.",
     "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
     "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
     "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",

@@ -1,0 +1,273 @@
+"""From the readings of a multi-point tumble to bias, scale factor, misalignments, K2, K3, K_oq of each axis.
+
+Generalised least squares on all readings, the stand's errors as random effects, as in a calibration; the nonlinear
+terms that the orientations determine are unknowns without a prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from bench.analysis.calibration import gls
+from bench.analysis.calibration.calibrate import first_guess, usable_rows
+from bench.analysis.calibration.derived import MISALIGNMENTS
+from bench.analysis.calibration.design import FIXED, Problem, make_problem
+from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
+from bench.analysis.tumble.terms import (
+    DEFAULT,
+    HOMES,
+    LINEAR,
+    Separable,
+    columns,
+    parameter_of,
+    separable,
+)
+from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms
+from bench.base.numbers import finite_or_none
+from bench.model.block import COEFFICIENTS, Block
+from bench.model.conditions import Conditions
+from bench.model.effects import CATALOGUE, AppliedEffect
+from bench.model.forward import ForwardModel
+from bench.readings.table import Readings
+
+NO_PRIOR: Final = 1.0
+"""Standard deviation of a term before the readings, g/g^n: far beyond any plausible size, so that data decide."""
+K: Final = 2.0
+"""Coverage factor of U."""
+MOVES: Final = 0.01
+"""What a term that is left out moves by less than this part of its size is not told."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One estimate of an axis in `unit`.
+
+    `contains` are the terms that cannot be separated from it, with their shares. What is estimated is then the
+    sum: "K3" with {"Koq": 0.59} is K3 + 0.59 Koq.
+    """
+
+    name: str
+    value: float
+    u: float
+    unit: str
+    contains: Mapping[str, float]
+
+    @property
+    def words(self) -> str:
+        """What is estimated, such as "K3 + 0.586 Koq"; of the scale factor the shares are relative."""
+        parts = "".join(f" {'+' if c > 0 else '-'} {abs(c):.3g} {term}" for term, c in self.contains.items())
+        if not parts:
+            return self.name
+        return f"K1 (1{parts})" if self.name == "K1" else self.name + parts
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "value": self.value,
+            "u": self.u,
+            "U": K * self.u,
+            "unit": self.unit,
+            "contains": dict(self.contains),
+        }
+
+
+@dataclass(frozen=True)
+class TumbleView(HasCovariance):
+    """The three accelerometers of a block, each by the terms of IEEE Std 1293.
+
+    `axes` has the quantities of each channel in the order of `names` ("x.K0"), of which `covariance` is. `judged`
+    says what the orientations determine; `left_out` what 1 of a term that was not asked for moves: by channel, by
+    term, by quantity, in g and g/g^n. `block` has the coefficients beside these terms.
+    """
+
+    unit: str
+    g_m_s2: float
+    block: Block
+    axes: Mapping[str, tuple[Quantity, ...]]
+    covariance: Floats
+    judged: tuple[Separable, ...]
+    left_out: Mapping[str, Mapping[str, Mapping[str, float]]]
+    noise: Noise
+    lack_of_fit: LackOfFit
+    readings: int
+
+    @property
+    def names(self) -> list[str]:
+        """Channel and name of each quantity, in the order of `covariance`."""
+        return [f"{channel}.{q.name}" for channel, own in self.axes.items() for q in own]
+
+    def correlation(self, first: str, second: str) -> float:
+        """Return the correlation of two quantities, by `names`."""
+        a, b = self.names.index(first), self.names.index(second)
+        return float(self.covariance[a, b] / (self.u[a] * self.u[b]))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        fit = self.lack_of_fit
+        return {
+            "unit": self.unit,
+            "g_m_s2": self.g_m_s2,
+            "k": K,
+            "model": "E/K1 = K0 + a_i + cross-axis terms + K2 a_i^2 + K3 a_i^3 + Koq a_i |a_i| + ..., a in g",
+            "axes": {
+                own.channel: {
+                    "quantities": {q.name: q.to_json() for q in self.axes[own.channel]},
+                    "rank": own.rank,
+                    "terms": list(own.asked),
+                    "not_separable": own.inseparable,
+                    "left_out": {term: dict(moved) for term, moved in self.left_out[own.channel].items()},
+                }
+                for own in self.judged
+            },
+            "order": self.names,
+            "covariance": self.covariance.tolist(),
+            "noise": {
+                "reading_v": self.noise.reading,
+                "setting_arcsec": float(np.degrees(self.noise.setting_rad) * 3600),
+                "dof": finite_or_none(self.noise.dof),
+                "source": self.noise.source,
+            },
+            "residual": {
+                "rms": finite_or_none(fit.rms),
+                "chi2": finite_or_none(fit.chi2),
+                "dof": fit.dof,
+                "p": finite_or_none(fit.p),
+            },
+            "readings": self.readings,
+        }
+
+
+def tumble_view(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    g_m_s2: float,
+    terms: Sequence[str] = DEFAULT,
+    noise: Noise | None = None,
+) -> TumbleView:
+    """Estimate the terms asked for, of `HOMES`, from the oriented readings; arguments as in `calibrate`.
+
+    Effects of the model are left out: the terms stand in their place. Raises `CalibrationError` where the readings
+    do not determine the twelve coefficients, or a term is unknown.
+    """
+    strange = [term for term in terms if term not in HOMES]
+    if strange or len(set(terms)) < len(terms):
+        raise CalibrationError(f"terms {', '.join(strange or terms)}: each once, of {', '.join(HOMES)}")
+    rows = usable_rows(readings, model)
+    plain = replace(model, effects=())
+    conditions = rows.conditions()
+    start = first_guess(make_problem(plain, conditions, stand_u), rows.signal, rows.resolution)
+    still = make_problem(plain, conditions, {}).stand_matrix(np.zeros(0))
+    force = plain.specific_force(conditions, still, Block(np.eye(3), np.zeros(3)))
+    judged = tuple(separable(force, channel, terms, conditions) for channel in range(3))
+    problem = _problem(plain, make_problem(_with_terms(plain, terms), conditions, stand_u), judged)
+    fit = gls.fit(problem, rows.signal, start, noise, rows.resolution)
+    fit_test = replace(gls.lack_of_fit(problem, fit), rms=rms(fit.residuals))
+    axes, through = _quantities(problem, fit, judged, readings.unit)
+    own = through @ fit.covariance @ through.T
+    moved = _left_out(fit, force, conditions, terms, through, axes)
+    return TumbleView(
+        readings.unit, g_m_s2, fit.block, axes, 0.5 * (own + own.T), judged, moved, fit.noise, fit_test, len(rows)
+    )  # fmt: skip
+
+
+def _with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
+    """Return the model with the effects that the terms are of, each once, of size zero."""
+    homes = dict.fromkeys(HOMES[term] for term in terms)
+    return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
+
+
+def _problem(plain: ForwardModel, whole: Problem, judged: Sequence[Separable]) -> Problem:
+    """Return the problem with those terms as unknowns that the orientations determine, and no prior on them."""
+    kept = tuple(
+        replace(unknown, prior_u=NO_PRIOR, stated=False)
+        for unknown in whole.effects
+        if unknown.channel is not None and unknown.parameter in judged[unknown.channel].kept
+    )
+    return replace(whole, effects=kept) if kept else replace(whole, model=plain, effects=())
+
+
+def _quantities(
+    problem: Problem, fit: gls.Fit, judged: Sequence[Separable], unit: str
+) -> tuple[dict[str, tuple[Quantity, ...]], Floats]:
+    """Return the quantities of each channel, and their derivatives (m, 12 + q) by the unknowns of the fit."""
+    places = {
+        (unknown.channel, unknown.parameter): FIXED + len(problem.stand) + at
+        for at, unknown in enumerate(problem.effects)
+    }
+    vector = np.concatenate([fit.block.vector, fit.others])
+    found: list[tuple[int, str, float, str, Floats]] = []
+    for channel, letter in enumerate(CHANNELS):
+        own = COEFFICIENTS.index(f"K{letter}{letter}")
+        scale = vector[own]
+        ones = np.eye(len(vector))
+        bias = 9 + channel
+        found.append(
+            (
+                channel,
+                "K0",
+                vector[bias] / scale,
+                "g",
+                ones[bias] / scale - vector[bias] / scale**2 * ones[own],
+            )
+        )
+        found.append((channel, "K1", scale, f"{unit}/g", ones[own]))
+        for name, (cross, of, sign) in MISALIGNMENTS.items():
+            if of == COEFFICIENTS[own]:
+                at = COEFFICIENTS.index(cross)
+                angle = sign * vector[at] / scale
+                found.append(
+                    (channel, name, angle, "rad", sign / scale * ones[at] - angle / scale * ones[own])
+                )
+        for term in judged[channel].kept[len(LINEAR) :]:
+            at = places[channel, term]
+            found.append((channel, term, vector[at], parameter_of(term).unit.replace("ug", "g"), ones[at]))
+    through = np.stack([row for *_, row in found])
+    u = np.sqrt(np.einsum("mp,pq,mq->m", through, fit.covariance, through))
+    axes: dict[str, tuple[Quantity, ...]] = {}
+    for (channel, name, value, unit_of, _), size in zip(found, u.tolist(), strict=True):
+        contains = _contained(judged[channel], name, channel)
+        quantity = Quantity(name, float(value), size, unit_of, contains)
+        axes[CHANNELS[channel]] = (*axes.get(CHANNELS[channel], ()), quantity)
+    return axes, through
+
+
+def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
+    """Return what a quantity contains of the terms that are not separable; of an angle with the angle's sign."""
+    if name not in MISALIGNMENTS:
+        return judged.part_in(name)
+    cross, _, sign = MISALIGNMENTS[name]
+    next_axis = CHANNELS[(channel + 1) % 3]
+    of = "Ki_j" if cross[2] == next_axis else "Ki_k"
+    return {term: sign * share for term, share in judged.part_in(of).items()}
+
+
+def _left_out(
+    fit: gls.Fit, force: Floats, conditions: Conditions, terms: Sequence[str], through: Floats,
+    axes: Mapping[str, Sequence[Quantity]],
+) -> dict[str, dict[str, dict[str, float]]]:  # fmt: skip
+    """Return what 1 g/g^n of each term that was not asked for moves, where it moves anything that shows."""
+    others = [term for term in HOMES if term not in terms]
+    moved: dict[str, dict[str, dict[str, float]]] = {}
+    first = 0
+    for channel, letter in enumerate(CHANNELS):
+        own = axes[letter]
+        scale = fit.block.K[channel, channel]
+        shown = columns(force, channel, others, conditions)[:, len(LINEAR) :] * scale
+        shift = through[first : first + len(own)] @ (fit.gain[:, :, channel] @ shown)
+        moved[letter] = {
+            term: {
+                q.name: float(by)
+                for q, by in zip(
+                    own, shift[:, at] / [scale if q.name == "K1" else 1.0 for q in own], strict=True
+                )
+                if abs(by) > MOVES
+            }
+            for at, term in enumerate(others)
+        }
+        first += len(own)
+    return moved

@@ -1,0 +1,87 @@
+"""Multi-point tumbles with a known truth: geometry of paper_bench.py, nonlinear terms written out here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.readings.table import Readings, make_readings
+from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Sizes of the nonlinear terms of the three channels, g/g^n, (3,) each."""
+
+    K2: Floats = field(default_factory=lambda: np.zeros(3))
+    K3: Floats = field(default_factory=lambda: np.zeros(3))
+    Koq: Floats = field(default_factory=lambda: np.zeros(3))
+    Kip: Floats = field(default_factory=lambda: np.zeros(3))
+    Kpp: Floats = field(default_factory=lambda: np.zeros(3))
+    Koo: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Terms:
+        """Return K2, K3 and Koq of plausible sizes: 20, 10, 10 ug/g^n."""
+        return cls(*(rng.normal(0.0, size * 1e-6, 3) for size in (20, 10, 10)))
+
+    def output(self, a: Floats) -> Floats:
+        """Return what they add to E/K1 for specific forces (n, 3), g."""
+        x, y, z = a.T
+        nxt, then = np.stack([y, z, x], axis=1), np.stack([z, x, y], axis=1)
+        return np.asarray(
+            self.K2 * a * a
+            + self.K3 * a * a * a
+            + self.Koq * a * np.abs(a)
+            + self.Kip * a * nxt
+            + self.Kpp * nxt * nxt
+            + self.Koo * then * then
+        )
+
+
+def design(points: int, passes: int) -> tuple[list[str], list[int], list[int], Floats]:
+    """A turn of so many points and its first once more, in both: installation, pass, point, angle (rad)."""
+    rows = [(i, p, t) for i in "12" for p in range(1, passes + 1) for t in range(1, points + 2)]
+    installation, pass_number, point = (list(column) for column in zip(*rows, strict=True))
+    return installation, pass_number, point, 2 * np.pi / points * (np.array(point) - 1)
+
+
+def tumble(
+    rng: np.random.Generator | None,
+    noise_v: float,
+    terms: Terms,
+    *,
+    points: int = 12,
+    passes: int = 3,
+    setting_u_rad: float = SETTING_U_RAD,
+) -> Readings:
+    """One run, stand errors drawn per installation and noise per reading; without `rng` no error at all."""
+    installation, pass_number, point, phi = design(points, passes)
+    n = len(phi)
+    angles, setting, noise = np.zeros((3, n)), np.zeros(n), np.zeros((n, 3))
+    if rng is not None:
+        sizes = [STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")]
+        angles = rng.normal(0.0, sizes, (2, 3))[[int(i) - 1 for i in installation]].T
+        setting = rng.normal(0.0, setting_u_rad, n)
+        noise = rng.normal(0.0, noise_v, (n, 3))
+    a = specific_force(installation, phi, angles[0], angles[1], angles[2], setting)
+    signal = a @ K.T + U0 + np.diag(K) * terms.output(a) + noise
+    return make_readings(installation, pass_number, point, phi, signal)
+
+
+def truth(terms: Terms) -> dict[str, float]:
+    """The quantities of the view by name ("x.K0"), each by itself: nothing contained of another."""
+    found: dict[str, float] = {}
+    after = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
+    for i, channel in enumerate("xyz"):
+        nxt, then = after[channel]
+        own = K[i, i]
+        found[f"{channel}.K0"] = U0[i] / own
+        found[f"{channel}.K1"] = own
+        found[f"{channel}.alpha_{nxt}{channel}"] = K[i, "xyz".index(nxt)] / own
+        found[f"{channel}.alpha_{then}{channel}"] = -K[i, "xyz".index(then)] / own
+        for name in ("K2", "K3", "Koq"):
+            found[f"{channel}.{name}"] = getattr(terms, name)[i]
+    return found
