@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +14,11 @@ from bench.api.errors import Refused
 from bench.base.arrays import Floats
 from bench.base.form_mistakes import shortened
 from bench.base.whole import from_text
+from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS, Block
+
+DEFAULT_K: Final = 2.0
+"""Coverage factor where a result states none."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
 """By how much a correlation of a million readings may be off by rounding."""
@@ -77,7 +82,48 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
 
 
-def covariance_in(data: Any, name: str, where: str) -> Floats | None:
+def block_result(data: Any, where: str) -> BlockResult:
+    """Take all that is to be written out of a result of `calibrate --json`, of this version or one before.
+
+    Raises `Refused` that names `where` when it is not one.
+    """
+    taken = coefficients_of(data, where)
+    unit = data.get("unit_under_test")
+    block = unit if isinstance(unit, Mapping) else {}
+    bench = data.get("bench")
+    stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
+    factors = [_positive(entry.get("k")) for entry in stated.values()]
+    expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
+    return BlockResult(
+        block=taken.block,
+        covariance=taken.covariance,
+        unit=taken.unit,
+        g_m_s2=taken.g_m_s2,
+        source=_text(data.get("source")) or where,
+        block_type=_text(block.get("type")),
+        serial=_text(block.get("serial")),
+        made_at=_text(data.get("made_at")),
+        bench={str(name): _text(said) for name, said in bench.items()}
+        if isinstance(bench, Mapping)
+        else None,
+        simulated=taken.simulated,
+        k=max((factor for factor in factors if factor), default=DEFAULT_K),
+        expanded={name: size for name, size in expanded.items() if size},
+        covariance_readings=_further_covariance(data, "covariance_readings", where),
+        gravity_u=_positive(data.get("gravity_u")),
+    )
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _positive(value: object) -> float:
+    """Return a number that a result states, 0 where it states none."""
+    return float(value) if isinstance(value, int | float) and np.isfinite(value) and value > 0 else 0.0
+
+
+def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
     """Take a further covariance (12, 12) out of a result that `coefficients_of` has read; None where it has none.
 
     Raises `Refused` that names `where` when it holds what is no covariance.

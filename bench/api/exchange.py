@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bench.api.calibration import calibration_of
-from bench.api.coefficients import coefficients_of, covariance_in
+from bench.api.coefficients import block_result
 from bench.api.errors import Refused
 from bench.api.source import Request, Source, load_sources
 from bench.base.arrays import Floats
-from bench.base.whole import from_text
+from bench.base.whole import from_text, write_whole
 from bench.exchange.forms import FORMS
 from bench.exchange.result import BlockResult
-from bench.model.block import COEFFICIENTS
 from bench.run.manifest import MANIFEST
 
 ALL = "all"
-DEFAULT_K = 2.0
 
 
 @dataclass(frozen=True)
@@ -54,8 +50,7 @@ def results_of(request: Request) -> list[Given]:
             found += _read(Path(str(name)), request.out)
         else:
             (source,) = load_sources(replace(request, sources=[name]))
-            result = calibration_of(source).to_dict()
-            found.append(Given(block_result(result, source.name), Path(), source))
+            found.append(Given(calibration_of(source).derived, Path(), source))
     files = [given.file("") for given in found]
     for file in files:
         if files.count(file) > 1:
@@ -87,46 +82,6 @@ def _read(path: Path, out: Path | None) -> list[Given]:
     ]
 
 
-def block_result(data: Any, where: str) -> BlockResult:
-    """Take all that is to be written out of a result of `calibrate --json`, of this version or one before.
-
-    Raises `Refused` that names `where` when it is not one.
-    """
-    taken = coefficients_of(data, where)
-    unit = data.get("unit_under_test")
-    block = unit if isinstance(unit, Mapping) else {}
-    bench = data.get("bench")
-    stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
-    factors = [_positive(entry.get("k")) for entry in stated.values()]
-    expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
-    return BlockResult(
-        block=taken.block,
-        covariance=taken.covariance,
-        unit=taken.unit,
-        g_m_s2=taken.g_m_s2,
-        source=_text(data.get("source")) or where,
-        block_type=_text(block.get("type")),
-        serial=_text(block.get("serial")),
-        made_at=_text(data.get("made_at")),
-        bench={str(name): _text(said) for name, said in bench.items()}
-        if isinstance(bench, Mapping)
-        else None,
-        simulated=taken.simulated,
-        k=max((factor for factor in factors if factor), default=DEFAULT_K),
-        expanded={name: size for name, size in expanded.items() if size},
-        covariance_readings=covariance_in(data, "covariance_readings", where),
-    )
-
-
-def _text(value: object) -> str:
-    return value if isinstance(value, str) else ""
-
-
-def _positive(value: object) -> float:
-    """Return a number that a result states, 0 where it states none."""
-    return float(value) if isinstance(value, int | float) and np.isfinite(value) and value > 0 else 0.0
-
-
 def forms_of(names: list[str]) -> list[str]:
     """Return the forms asked for, each once, in their order; "all" is every one. Raises `Refused`."""
     strange = [name for name in names if name not in FORMS and name != ALL]
@@ -137,7 +92,10 @@ def forms_of(names: list[str]) -> list[str]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` where they are none."""
+    """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` where they are none.
+
+    They are none of a result whose signals are accelerations, or have other signs.
+    """
     if text is None:
         return None
     try:
@@ -160,3 +118,15 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
                 f"({', '.join(f'{v:.4g}' for v in found)} {result.unit}/g)"
             )
     return values
+
+
+def write_form(
+    result: BlockResult, path: Path, form: str, nominal: tuple[float, float, float] | None
+) -> tuple[str, ...]:
+    """Write one form to a file; return what it cannot hold. Raises `Refused`, `OSError`."""
+    if form not in FORMS:
+        raise Refused(f"{form!r}: the forms are {', '.join(FORMS)}")
+    chosen = FORMS[form]
+    factors = nominal_of(None if nominal is None else ",".join(map(repr, nominal)), [result])
+    write_whole(path, chosen.write(result, factors))
+    return tuple(chosen.loses(result, factors)) if chosen.loses else ()

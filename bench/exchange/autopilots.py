@@ -87,7 +87,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
     u = np.sqrt(np.diag(result.covariance))
     to_ms2 = [abs(9.80665 / s) for s in sensor.nominal]
     offsets = ", ".join(f"{result.k * own * size:.2g}" for own, size in zip(u[9:], to_ms2, strict=True))
-    parts = result.k * u[[0, 4, 8]] / np.abs(np.diag(result.block.K))
+    parts = result.k * np.hypot(u[[0, 4, 8]] / np.abs(np.diag(result.block.K)), result.gravity_u)
     scales = ", ".join(f"{part:.2g}" for part in parts)
     lines = [
         *result.head(),

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from bench.analysis.calibration.derived import Derived, inverse, misalignments
 from bench.base.arrays import Floats, u_of
 from bench.base.c_source import one_line
@@ -38,9 +40,10 @@ class BlockResult:
     """The coefficients of one block: U = K a + U0, a in g of the place, `g_m_s2`, U in `unit`.
 
     `covariance` (12, 12) in the order of `COEFFICIENTS`, `combined` whether it holds more than what the readings
-    show (`covariance_readings`, None where that is all there is). `expanded` are the U by name that the result
-    states; for all else U is `k` times u. `bench` is what a result says of its bench file. `block_type`,
-    `serial` and `made_at` are empty where nobody states them.
+    show; `covariance_readings` is that part, None where the result does not tell it apart. `expanded` are the U
+    by name that the result states; for all else U is `k` times u. `gravity_u` is the relative standard
+    uncertainty of `g_m_s2`, which is in no number per g, 0 where the result does not tell it. `bench` is what a
+    result says of its bench file. `block_type`, `serial` and `made_at` are empty where nobody states them.
     """
 
     block: Block
@@ -56,11 +59,13 @@ class BlockResult:
     k: float = 2.0
     expanded: Mapping[str, float] | None = None
     covariance_readings: Floats | None = None
+    gravity_u: float = 0.0
 
-    @property
+    @cached_property
     def combined(self) -> bool:
         """Whether u holds every source of the bench, or what the readings show alone."""
-        return self.covariance_readings is not None
+        readings = self.covariance_readings
+        return readings is not None and not np.array_equal(readings, self.covariance)
 
     @cached_property
     def inverse(self) -> Derived:
@@ -113,10 +118,14 @@ class BlockResult:
             "source": self.source,
             "made at": self.made_at or "not stated",
             "bench": (self.bench or {}).get("name", "not stated"),
-            "local gravity": f"g = {self.g_m_s2!r} m/s^2: accelerations are in this g unless said otherwise",
+            "local gravity": f"g = {self.g_m_s2!r} m/s^2{self._of_gravity()}: accelerations are in this g",
             "uncertainty": f"u standard, U = k u with k = {self.k:g}; {COMBINED if self.combined else OF_READINGS}",
         }
         return {name: one_line(text) for name, text in told.items()}
+
+    def _of_gravity(self) -> str:
+        size = self.gravity_u
+        return f" (u = {self.g_m_s2 * size:.2g} m/s^2, which is in no number per g)" if size else ""
 
     def head(self) -> list[str]:
         """Return the facts as lines."""
@@ -133,6 +142,7 @@ class BlockResult:
             "simulated": self.simulated,
             "unit": self.unit,
             "g_m_s2": self.g_m_s2,
+            "gravity_u": self.gravity_u,
             "k": self.k,
             "combined": self.combined,
             "coefficients": {row.name: row.to_json() for row in self.coefficient_rows},

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import bench as face
 from bench.exchange.forms import FORMS
 from tests.support.pages import ROOT
 from tests.support.schemas import keeps_to
@@ -115,3 +116,18 @@ def test_mistakes_are_one_line_each(finished, arguments, told):
     assert status == 2
     assert told in err
     assert err.count("\n") == 1
+
+
+def test_from_python_a_form_is_written_and_what_it_loses_is_returned(empty_folder):
+    shutil.copy(RECORDS / "readings.csv", "r.csv")
+    result = face.calibrate("r.csv")
+    assert result.write("all.json", "json") == ()
+    read = json.loads(Path("all.json").read_text(encoding="utf-8"))
+    assert [
+        entry["value"] for entry in read["inverse"]["values"].values()
+    ] == result.derived.inverse.values.tolist()
+    lost = result.write("unit.params", "px4", nominal=(-2.0, -2.1, -2.1))
+    assert "|a| is off by up to" in lost[1]
+    assert "S = (-2.0, -2.1, -2.1) V/g" in Path("unit.params").read_text(encoding="utf-8")
+    with pytest.raises(face.Refused, match="'matlab': the forms are json, csv, c"):
+        result.write("unit.m", "matlab")

@@ -106,6 +106,20 @@ def test_what_leaving_out_costs_is_the_worst_of_all_directions():
     assert vector.max() <= form.vector_g <= 1.002 * vector.max()
 
 
+def test_the_uncertainty_of_gravity_is_in_scales_of_m_s2_and_in_no_number_per_g():
+    given = BlockResult(Block(K, U0), np.zeros((12, 12)), "V", G, "run", gravity_u=1e-5)
+    text = text_of("px4", given)
+    assert "of the scales: 2e-05, 2e-05, 2e-05, relative" in text
+    assert "(u = 9.8e-05 m/s^2, which is in no number per g)" in text
+    assert {row.u for row in given.inverse_rows} == {0.0}
+
+
+def test_a_covariance_of_the_readings_that_is_the_whole_one_is_not_combined():
+    alone = BlockResult(Block(K, U0), COVARIANCE, "g", G, "run", covariance_readings=COVARIANCE.copy())
+    assert not alone.combined
+    assert "of these readings alone" in text_of("c", alone)
+
+
 def test_what_a_program_would_refuse_is_told():
     counts = BlockResult(Block(K, U0 + 5.0), COVARIANCE, "V", G, "run")
     assert any(

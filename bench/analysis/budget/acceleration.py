@@ -16,9 +16,10 @@ from scipy import special
 from bench.analysis.budget.coefficients import Budget, Contribution, parts_of
 from bench.analysis.budget.propagation import coverage_factor, effective_dof
 from bench.analysis.budget.sources import ErrorSource
+from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.calibration.verification import acceptance_limit, modulus_slopes
+from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import Floats
 from bench.base.numbers import finite_or_none
 from bench.model import Conditions, Stage
@@ -226,14 +227,14 @@ class DeltaG:
 
 
 def delta_g(
-    budget: Budget, limit_g: float, rule: str = "simple acceptance", *, reading: bool = True
+    budget: Budget, limit_g: float, rule: str | DecisionRule = SIMPLE, *, reading: bool = True
 ) -> tuple[DeltaG, ...]:
     """Return the uncertainty of delta g at each verification point of the setup, and the decision that it allows.
 
     Gain and gravity act on calibration and check alike and cancel; without `reading` the errors of the
     coefficients stand alone. Raises `CalibrationError` for an unknown rule.
     """
-    setup = budget.setup
+    setup, decision = budget.setup, DecisionRule.of(rule)
     rows = np.flatnonzero(setup.verification)
     if not len(rows):
         return ()
@@ -250,7 +251,7 @@ def delta_g(
     expanded = coverage_factor(dof, budget.probability) * u
     found = []
     for i, row in enumerate(rows):
-        limit = acceptance_limit(limit_g, float(expanded[i]), rule)
+        limit = decision.acceptance_limit(limit_g, float(expanded[i]))
         found.append(
             DeltaG(
                 angle_deg=float(np.degrees(setup.conditions.angle_rad[row])),

@@ -184,7 +184,37 @@ class UnitUnderTest(FileModel):
     temperature: TemperatureRange
 
 
+class PopulationSection(FileModel):
+    """What is known of Δg over many blocks of this type, before one is measured: a normal distribution."""
+
+    mean: AccelerationG = 0.0
+    standard_deviation: SizeG
+
+    @field_validator("standard_deviation")
+    @classmethod
+    def _more_than_none(cls, size_g: float) -> float:
+        if size_g == 0.0:
+            raise ValueError(
+                "blocks that are all alike need no verification; state a standard deviation above zero"
+            )
+        return size_g
+
+
 class VerificationSection(FileModel):
-    """Delta g_A: how far the measured modulus of gravity may be from 1 g."""
+    """Delta g_A: how far the measured modulus of gravity may be from 1 g, and how the verdict is found.
+
+    The guard band of the rule is so many times U; a rule that is left out is simple acceptance.
+    """
 
     limit: SizeG
+    rule: Literal["simple acceptance", "guarded", "non-binary"] = "simple acceptance"
+    guard_band: Annotated[float, Field(gt=0.0)] | None = None
+    population: PopulationSection | None = None
+
+    @model_validator(mode="after")
+    def _band_with_its_rule(self) -> VerificationSection:
+        if self.rule == "simple acceptance" and self.guard_band is not None:
+            raise ValueError(
+                "simple acceptance takes no guard band off the limit; leave it out, or say rule: guarded"
+            )
+        return self
