@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
     from bench.analysis.calibration import CalibrationError
     from bench.api.budget import BudgetResult, budget
-    from bench.api.calibration import CalibrationResult, Coefficient, VerificationResult
+    from bench.api.calibration import CalibrationResult, Coefficient
     from bench.api.diagnosis import DiagnosisResult
     from bench.api.errors import Refused
     from bench.api.face import DryRun, calibrate, diagnose, dry_run, load_bench, read_readings, verify
+    from bench.api.verification import VerificationResult
     from bench.base.forms import FileMistakes
     from bench.files.bench.file import BenchFile
     from bench.readings.csv import ReadingsError
@@ -56,12 +57,13 @@ __all__ = [
 _HOMES: Final = {
     "bench.analysis.calibration": ("CalibrationError",),
     "bench.api.budget": ("BudgetResult", "budget"),
-    "bench.api.calibration": ("CalibrationResult", "Coefficient", "VerificationResult"),
+    "bench.api.calibration": ("CalibrationResult", "Coefficient"),
     "bench.api.diagnosis": ("DiagnosisResult",),
     "bench.api.errors": ("Refused",),
     "bench.api.face": (
         "DryRun", "calibrate", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
     ),
+    "bench.api.verification": ("VerificationResult",),
     "bench.base.forms": ("FileMistakes",),
     "bench.files.bench.file": ("BenchFile",),
     "bench.readings.csv": ("ReadingsError",),

@@ -17,12 +17,11 @@ from bench.analysis.budget.sources import bench_sources
 from bench.analysis.calibration.estimators import GLS, in_a_budget
 from bench.analysis.calibration.mistakes import refuse_singular
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.calibration.verification import rule_name
-from bench.api.calibration import check_limit
 from bench.api.coefficients import read_coefficients
 from bench.api.errors import Refused
 from bench.api.source import NO_GRAVITY, check_gravity
 from bench.api.taken import BenchTaken, find_bench_file
+from bench.api.verification import Asked, judgement_of
 from bench.base.tables import as_html, as_text
 from bench.base.whole import write_whole
 from bench.files.bench.file import BenchFile
@@ -30,6 +29,7 @@ from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import Block, ForwardModel
 from bench.procedure.load import load_procedure
+from drivers.clock import utc_now
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,9 @@ def budget(
     model: str | Path | None = None,
     coefficients: str | Path | None = None,
     trials: int = 20_000,
-    rule: str = "simple",
+    rule: str | None = None,
     limit: float | None = None,
+    guard_band: float | None = None,
     same_voltmeters: bool = False,
     g: float | None = None,
 ) -> BudgetResult:
@@ -91,22 +92,24 @@ def budget(
 
     `procedure` says which readings a calibration is of, `coefficients` (a result of `bench calibrate --json`)
     of which block, `trials` how many Monte Carlo trials judge the linear result (0: none), `limit` the limit of
-    Δg in g, `rule` ("simple" or "guarded") how it is judged, `same_voltmeters` that the block is used with those
-    of the calibration, `g` local gravity in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
+    Δg in g and `rule` ("simple", "guarded" or "non-binary", with `guard_band` in U) how it is judged, the bench
+    file's unless given; `same_voltmeters` that the block is used with those of the calibration, `g` local gravity
+    in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
     """
     check_gravity(g)
-    estimator, rule = in_a_budget(estimator).name, rule_name(rule)
+    estimator = in_a_budget(estimator).name
     if trials:
         _check_trials(trials)
     taken = find_bench_file(str(bench) if isinstance(bench, Path) else bench)
     file = _with_gravity(taken, g)
+    judgement = judgement_of(file, Asked(limit, rule, guard_band))
     plan = load_procedure(find_procedure(procedure)).expand()
     block, about = _block(coefficients, file)
     setup = make_setup(plan, file, _model(model, file), block)
-    check_limit(limit)
-    limit_g = file.verification_limit_g if limit is None else limit
-    question = Question(file.unit_under_test.range, limit_g, rule, trials, same_voltmeters)
-    found = assess(setup, bench_sources(file, setup), estimator, question)
+    question = Question(
+        file.unit_under_test.range, judgement.limit_g, judgement.rule, trials, same_voltmeters
+    )
+    found = assess(setup, bench_sources(file, setup, utc_now().date()), estimator, question)
     head = {
         "bench": file.name,
         "bench_file": taken.to_dict(),

@@ -1,8 +1,7 @@
-"""From readings to coefficients, and to a verdict at the verification points."""
+"""From readings to coefficients."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,15 +10,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench.analysis.calibration import Calibration, CalibrationError, Verification, implausible
+from bench.analysis.calibration import Calibration, implausible
 from bench.analysis.calibration import calibrate as estimate
-from bench.analysis.calibration import verify as check
-from bench.analysis.calibration.estimators import CLOSED_FORM, GLS
-from bench.analysis.calibration.verification import COVERAGE_FACTOR, GUARDED, SIMPLE
+from bench.analysis.calibration.estimators import GLS
 from bench.analysis.temperature.plateaus import separate_temperatures
-from bench.api.coefficients import Coefficients, block_result, read_coefficients
-from bench.api.errors import Refused
-from bench.api.provenance import provenance, record_head
+from bench.api.coefficients import block_result
+from bench.api.provenance import record_head
 from bench.api.source import Source
 from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places
@@ -101,6 +97,7 @@ class CalibrationResult:
             "made_at": source.made_at,
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
+            "corrections": source.traced.to_json(),
             **({} if source.run is None else {"record": record_head(source.run)}),
             "notes": [*self.doubts, *self.calibration.notes, *source.readings.notes],
             "skipped_rows": list(source.readings.skipped),
@@ -108,6 +105,8 @@ class CalibrationResult:
 
     def report(self, path: str | Path) -> None:
         """Write the page (HTML, with everything in it). Raises `OSError`."""
+        from bench.api.page import report_page
+
         write_whole(Path(path), report_page(self)[0])
 
     @cached_property
@@ -207,157 +206,3 @@ def _with_note_on_temperatures(source: Source) -> Source:
         "them: see bench compensate"
     )
     return replace(source, readings=replace(source.readings, notes=(*source.readings.notes, note)))
-
-
-# --- verification -----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class VerificationResult:
-    """Δg at the verification points of a source against the limit; `warnings` are on the coefficients taken."""
-
-    source: Source
-    verification: Verification
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether every verification point was measured and passed."""
-        return self.verification.passed
-
-    @property
-    def otherwise(self) -> bool:
-        """Whether it is judged by another rule than a run's own verdict is, or another limit."""
-        own = SIMPLE, self.source.bench.verification_limit_g
-        return (self.verification.rule, self.verification.limit_g) != own
-
-    @property
-    def bench(self) -> str:
-        """Which bench file gave the limit, the errors of the stand and gravity; and why that one."""
-        return self.source.taken.words
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader of the result should know, a sentence each."""
-        return (*self.source.readings.notes, *self.source.readings.skipped)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench verify --json` writes it."""
-        return {**self.verification.to_json(), "bench": self.source.taken.to_dict()}
-
-    def table(self) -> Table:
-        """Return Δg at each verification point."""
-        result = self.verification
-        guarded = [">accepted up to"] if result.rule == GUARDED else []
-        shown = table("verification point", ">angle", ">Δg", ">u", *guarded, "")
-        for p in result.points:
-            limit = f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else "nothing"
-            shown.add_row(
-                f"pass {p.pass_number} point {p.point}",
-                f"{p.angle_deg:.4f}°",
-                f"{p.delta_g * 1e6:+.1f} µg",
-                f"{p.u * 1e6:.1f} µg",
-                *([limit] if guarded else []),
-                "within"
-                if p.passed
-                else "in the guard band"
-                if abs(p.delta_g) <= result.limit_g
-                else "OUTSIDE",
-            )
-        return shown
-
-    def verdict(self) -> str:
-        """Return the verdict in one line."""
-        return verdict_line(self.source.name, self.verification)
-
-    def __repr__(self) -> str:
-        """Return the points and the verdict."""
-
-        def print_on(out: Console) -> None:
-            out.print(self.table())
-            for line in self._below():
-                out.print(line)
-
-        return as_text(print_on)
-
-    def _below(self) -> list[str]:
-        notes = (*self.warnings, *self.notes)
-        return [f"bench: {self.bench}", *(f"note: {note}" for note in notes), self.verdict()]
-
-    def _repr_html_(self) -> str:
-        return as_html([], self.table()) + as_html(self._below())
-
-
-def verdict_line(name: str, result: Verification) -> str:
-    """Return the verdict on what is called `name` in one line."""
-    worst = max(result.points, key=lambda p: abs(p.delta_g))
-    missing = f"; {result.missing} verification points are missing" if result.missing else ""
-    rule = result.rule + (
-        f" (U, k = {COVERAGE_FACTOR:g}, taken off the limit)" if result.rule == GUARDED else ""
-    )
-    return (
-        f"{name}: {'PASSED' if result.passed else 'FAILED'}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
-        f"± {worst.u * 1e6:.1f} µg (u), limit {result.limit_g * 1e6:.0f} µg, rule: {rule}{missing}"
-    )
-
-
-def check_limit(limit_g: float | None) -> None:
-    """Refuse a limit of |Δg| that is none. Raises `Refused`."""
-    if limit_g is not None and not (math.isfinite(limit_g) and limit_g > 0):
-        raise Refused(f"--limit {limit_g}: a limit is a positive number of g, such as 3e-4")
-
-
-def verification_of(
-    source: Source,
-    coefficients: Path | CalibrationResult | None = None,
-    limit_g: float | None = None,
-    rule: str = SIMPLE,
-) -> VerificationResult:
-    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings."""
-    warnings: tuple[str, ...] = ()
-    if coefficients is None:
-        coefficients = calibration_of(source)
-        source = coefficients.source
-    if isinstance(coefficients, CalibrationResult):
-        own = coefficients.calibration
-        if own.unit != source.readings.unit:
-            raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
-        taken = Coefficients(own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit)
-    else:
-        taken = read_coefficients(coefficients, source.readings.unit)
-        if taken.simulated and not source.simulated:
-            warnings = (f"the coefficients in {coefficients} were found on simulated instruments",)
-    limit = source.bench.verification_limit_g if limit_g is None else limit_g
-    ratio = taken.g_m_s2 / source.g_m_s2
-    verdict = check(source.readings, taken.block, taken.covariance, taken.noise, limit, ratio, rule)
-    return VerificationResult(source, verdict, warnings)
-
-
-# --- report -----------------------------------------------------------------------------------------
-
-
-def report_page(result: CalibrationResult) -> tuple[str, VerificationResult | None]:
-    """Verify, where there are verification points; return the page (HTML) and the verification in it."""
-    from bench.report import ReportContent, render_report
-
-    source = result.source
-    verdict = verification_of(source, result) if len(source.readings.verification()) else None
-    content = ReportContent(
-        title=f"Calibration of {source.block_name or source.name}",
-        calibration=result.calibration,
-        verification=None if verdict is None else verdict.verification,
-        compared=_closed_form(source),
-        provenance=provenance(source),
-        notes=(*result.doubts, *result.calibration.notes, *source.readings.notes),
-        skipped=source.readings.skipped,
-        simulated=source.simulated,
-    )
-    return render_report(content), verdict
-
-
-def _closed_form(source: Source) -> Calibration | None:
-    """The paper's estimator beside ours, where the readings are such that it applies."""
-    try:
-        return calibration_of(source, CLOSED_FORM).calibration
-    except CalibrationError:
-        return None

@@ -19,18 +19,12 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from bench.analysis.calibration.estimators import GLS
-from bench.analysis.calibration.verification import rule_name
-from bench.api.calibration import (
-    CalibrationResult,
-    VerificationResult,
-    calibration_of,
-    check_limit,
-    verification_of,
-)
+from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.api.origin import origin_beside
 from bench.api.source import Request, Source, load_sources
 from bench.api.taken import bench_of, find_bench_file
+from bench.api.verification import Asked, VerificationResult, verification_of
 from bench.files.bench.file import BenchFile
 from bench.readings.csv import read_csv, read_frame
 from bench.readings.table import Readings
@@ -108,7 +102,9 @@ def verify(
     *,
     coefficients: str | Path | CalibrationResult | None = None,
     limit: float | None = None,
-    rule: str = "simple",
+    rule: str | None = None,
+    guard_band: float | None = None,
+    population: tuple[float, float] | None = None,
     bench: Bench = None,
     model: str | Path | None = None,
     g: float | None = None,
@@ -118,13 +114,15 @@ def verify(
     """Return Δg (in g) at the verification points against the limit (g), as `bench verify` finds it.
 
     `coefficients` are those of another day: a result, or a file of `bench calibrate --json`; without them those of
-    the same readings. `rule` is "simple" (|Δg| within the limit) or "guarded" (|Δg| + U). Else as in `calibrate`.
+    the same readings. `rule` is "simple" (|Δg| within the limit), "guarded" (|Δg| + w, where w is U or
+    `guard_band` times U) or "non-binary"; `population` the mean and the standard deviation of Δg over many blocks,
+    g, for the global risk. What is not given of these is the bench file's. Else as in `calibrate`.
     """
-    by_rule = rule_name(rule)
-    check_limit(limit)
+    asked = Asked(limit, rule, guard_band, population)
+    asked.check()
     (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
     taken = Path(coefficients) if isinstance(coefficients, str) else coefficients
-    return verification_of(loaded, taken, limit, by_rule)
+    return verification_of(loaded, taken, asked)
 
 
 def diagnose(

@@ -49,11 +49,15 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> dic
 
 
 def _verdict(run: Run) -> str | None:
-    """Return the verdict that stands in a run's folder, "passed" or "failed"; None where there is none."""
+    """Return the verdict that stands in a run's folder, None where there is none.
+
+    Results of versions before have no statement: they passed or failed.
+    """
     try:
         found = json.loads((run.folder / f"{VERIFY}.json").read_text(encoding="utf-8"))
-        return "passed" if found["passed"] else "failed"
-    except (OSError, ValueError, TypeError, KeyError):
+        statement = str(found.get("statement") or ("pass" if found["passed"] else "fail"))
+        return {"pass": "passed", "fail": "failed"}.get(statement, statement)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
 
 

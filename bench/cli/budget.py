@@ -12,6 +12,7 @@ from bench.cli.options import (
     BenchOption,
     EstimatorOption,
     GravityOption,
+    GuardBandOption,
     JsonOption,
     LimitOption,
     ModelOption,
@@ -49,6 +50,7 @@ def budget(
         int, typer.Option(help="Monte Carlo trials beside the linear result; 0 for none.", min=0)
     ] = 20_000,
     rule: RuleOption = None,
+    guard_band: GuardBandOption = None,
     limit: LimitOption = None,
     same_voltmeters: Annotated[
         bool,
@@ -75,8 +77,9 @@ def budget(
             model=model,
             coefficients=coefficients,
             trials=trials,
-            rule=rule or "simple",
+            rule=rule,
             limit=limit,
+            guard_band=guard_band,
             same_voltmeters=same_voltmeters,
             g=g,
         )

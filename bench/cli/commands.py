@@ -31,7 +31,7 @@ COMMANDS: Final = {
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
     "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
     " for Kalibr, PX4, ArduPilot.",
-    "verify": "Δg at the verification points against the limit; exit status 1 when one is outside.",
+    "verify": "Δg at the verification points against the limit; exit status 1 unless the rule accepts all.",
     "report": "Write the report of a run: one HTML page.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
     "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",

@@ -59,10 +59,10 @@ def compensate(
     runs: RunsOption = RUNS,
 ) -> int:
     """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
+    from bench.analysis.calibration.verdict_words import verdict_line
     from bench.analysis.temperature.estimate import temperature_model
     from bench.analysis.temperature.table import make_table
     from bench.analysis.temperature.table_files import table_json
-    from bench.api.calibration import verdict_line
     from bench.api.source import Request, load_sources
 
     printing.check_target(json)
@@ -86,6 +86,7 @@ def compensate(
         "verification": [{"temperature_c": t, **check.to_json()} for t, check in checks],
         "sources": names,
         "bench": first.taken.to_dict(),
+        "corrections": [one for source in loaded for one in source.traced.to_json()],
         "simulated": any(source.simulated for source in loaded),
     }
     files = _write(first, model, table, result)
@@ -118,17 +119,27 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
     import numpy as np
 
     from bench.analysis.calibration import verify
+    from bench.api.verification import judgement_of
 
     rows = source.readings.verification()
     known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
-    limit = source.bench.verification_limit_g
+    by = judgement_of(source.bench)
     judged = []
     for t in np.unique(rows.temperature_c[known]):
         own = source.readings.select(
             (source.readings.installation == "V") & (source.readings.temperature_c == t)
         )
         noise = model.noise.reading
-        judged.append((float(t), verify(own, model.block(t), model.covariance_at(t), noise, limit)))
+        verdict = verify(
+            own,
+            model.block(t),
+            model.covariance_at(t),
+            noise,
+            by.limit_g,
+            rule=by.rule,
+            population=by.population,
+        )
+        judged.append((float(t), verdict))
     return judged
 
 

@@ -128,7 +128,24 @@ GravityOption = Annotated[
 RuleOption = Annotated[
     str | None,
     typer.Option(
-        "--rule", metavar="RULE", help="simple: |Δg| within the limit (default); guarded: |Δg| + U within it."
+        "--rule",
+        metavar="RULE",
+        help="simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
+        "statements (default: the bench file's, or simple).",
+    ),
+]
+GuardBandOption = Annotated[
+    float | None,
+    typer.Option(
+        "--guard-band", metavar="R", help="Guard band of the rule: w = R U (default: the bench file's, or 1)."
+    ),
+]
+PopulationOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--population",
+        metavar="MEAN SD",
+        help="Mean and standard deviation of Δg over many blocks, g: for the global risk.",
     ),
 ]
 LimitOption = Annotated[float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")]

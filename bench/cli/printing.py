@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.analysis.calibration import Noise
-    from bench.api.calibration import CalibrationResult, VerificationResult
+    from bench.api.calibration import CalibrationResult
     from bench.api.source import Source
     from bench.api.taken import BenchTaken
+    from bench.api.verification import Asked, VerificationResult
 
 
 def console(*, json: str | None = None) -> Console:
@@ -205,14 +206,18 @@ def verification(result: VerificationResult, file: Path | None, out: Console | N
     out.print(result.verdict(), style="bold")
 
 
-def report(result: CalibrationResult, out: Console) -> VerificationResult | None:
-    """Write the page of a calibration and return the verification that is in it. Raises `OSError`."""
-    from bench.api.calibration import report_page
+def report(
+    result: CalibrationResult, out: Console, asked: Asked | None = None
+) -> tuple[VerificationResult | None, Path]:
+    """Write the page of a calibration; return the verification that is in it, and the file. Raises `OSError`."""
+    from bench.api.page import report_page
+    from bench.api.verification import NOTHING_ASKED
     from bench.base.whole import write_whole
 
-    page, verdict = report_page(result)
-    file = result.source.output("report", ".html", what_if=result.source.what_if)
+    page, verdict = report_page(result, asked or NOTHING_ASKED)
+    what_if = result.source.what_if or (verdict is not None and verdict.otherwise)
+    file = result.source.output("report", ".html", what_if=what_if)
     file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, page)
     written("report", file, out)
-    return verdict
+    return verdict, file

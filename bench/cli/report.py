@@ -11,9 +11,13 @@ from bench.cli.options import (
     RUNS,
     BenchOption,
     GravityOption,
+    GuardBandOption,
     JsonOption,
+    LimitOption,
     ModelOption,
     OutOption,
+    PopulationOption,
+    RuleOption,
     RunsOption,
     SkipOption,
     app,
@@ -25,6 +29,10 @@ def report(
     source: Annotated[
         str, typer.Argument(help="Run (name or path) or readings file.", autocompletion=completing.sources)
     ],
+    limit: LimitOption = None,
+    rule: RuleOption = None,
+    guard_band: GuardBandOption = None,
+    population: PopulationOption = None,
     bench: BenchOption = None,
     model: ModelOption = None,
     g: GravityOption = None,
@@ -34,25 +42,29 @@ def report(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the report of a run: one HTML page."""
+    from bench.analysis.calibration.verdict_words import advice
     from bench.api.calibration import calibration_of
     from bench.api.errors import Refused
     from bench.api.source import Request, load_sources
+    from bench.api.verification import Asked
 
     printing.check_target(json)
+    asked = Asked(limit, rule, guard_band, population)
+    asked.check()
     (loaded,) = load_sources(Request([source], runs, bench, model, g, out, skip_bad_rows))
     on = printing.console(json=json)
     printing.bench_files([loaded], json)
     result = calibration_of(loaded)
     try:
-        verdict = printing.report(result, on)
+        verdict, page = printing.report(result, on, asked)
     except OSError as error:
         raise Refused(
             f"{error.filename}: the page cannot be written ({error.strerror}); choose another place with --out DIR"
         ) from error
     if verdict is not None:
+        printing.notes_on(on, advice(verdict.verification))
         on.print(verdict.verdict(), style="bold")
-    page = str(loaded.output("report", ".html", what_if=loaded.what_if))
     bench_taken = loaded.taken.to_dict()
-    written = {"report": page, "bench": bench_taken, "verification": verdict and verdict.to_dict()}
+    written = {"report": str(page), "bench": bench_taken, "verification": verdict and verdict.to_dict()}
     printing.write_json([written], json)
     return 0 if verdict is None or verdict.passed else 1

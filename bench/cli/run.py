@@ -142,7 +142,7 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
     printing.calibration(result, file, out)
     drawn["calibration"] = result.to_dict()
     write_whole(file, to_text(drawn["calibration"]))
-    verdict = printing.report(result, out)
+    verdict, _ = printing.report(result, out)
     if verdict is None:
         out.print("no verification points in this procedure: no verdict")
     else:

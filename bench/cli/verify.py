@@ -12,10 +12,12 @@ from bench.cli.options import (
     RUNS,
     BenchOption,
     GravityOption,
+    GuardBandOption,
     JsonOption,
     LimitOption,
     ModelOption,
     OutOption,
+    PopulationOption,
     RuleOption,
     RunsOption,
     SkipOption,
@@ -32,6 +34,8 @@ def verify(
     ] = None,
     limit: LimitOption = None,
     rule: RuleOption = None,
+    guard_band: GuardBandOption = None,
+    population: PopulationOption = None,
     bench: BenchOption = None,
     model: ModelOption = None,
     g: GravityOption = None,
@@ -40,19 +44,18 @@ def verify(
     skip_bad_rows: SkipOption = False,
     runs: RunsOption = RUNS,
 ) -> int:
-    """Δg at the verification points against the limit; exit status 1 when one is outside."""
-    from bench.analysis.calibration.verification import rule_name
-    from bench.api.calibration import check_limit, verification_of
+    """Δg at the verification points against the limit; exit status 1 unless the rule accepts all."""
     from bench.api.source import Request, load_sources
+    from bench.api.verification import Asked, verification_of
 
     printing.check_target(json)
-    by_rule = rule_name(rule or "simple")
-    check_limit(limit)
+    asked = Asked(limit, rule, guard_band, population)
+    asked.check()
     results = []
     loaded = load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows))
     printing.bench_files(loaded, json)
     for source in loaded:
-        results.append(verification_of(source, coefficients, limit, by_rule))
+        results.append(verification_of(source, coefficients, asked))
         printing.notes_aside(results[-1].warnings)
     for result in results:
         what_if = result.source.what_if or coefficients is not None or result.otherwise

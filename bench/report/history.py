@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.analysis.calibration.verification import COVERAGE_FACTOR
+from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.analysis.history.comparison import Comparison
 from bench.base.numbers import scale_for
 from bench.model.block import COEFFICIENTS

@@ -10,6 +10,8 @@ from typing import Any, Final
 from markupsafe import Markup
 
 from bench.analysis.calibration import Calibration, LackOfFit, Verification
+from bench.analysis.calibration.conformity import Statement
+from bench.analysis.calibration.verdict_words import advice, headline, risk_in_words, rule_in_words
 from bench.base.numbers import fixed, places, probability, scale_for, two_digits
 from bench.report import plots, tables
 from bench.report.content import ReportContent
@@ -17,13 +19,6 @@ from bench.report.template import page
 
 FITS: Final = 0.01
 """Probability of lack of fit below which the page says that model and readings disagree."""
-
-RULES: Final = {
-    "simple acceptance": "passed when |Δg| ≤ limit at every verification point; "
-    "the uncertainty is not taken off the limit (JCGM 106:2012, 8.2)",
-    "guarded": "passed when |Δg| + U ≤ limit at every verification point, U = 2u: "
-    "a guard band of U is taken off the limit (JCGM 106:2012, 8.3.2)",
-}
 
 
 def render_report(content: ReportContent) -> str:
@@ -63,48 +58,70 @@ def write_report(content: ReportContent, path: Path) -> None:
     path.write_text(render_report(content), encoding="utf-8")
 
 
+STATES: Final = {
+    Statement.PASS: "passed",
+    Statement.CONDITIONAL_PASS: "conditional",
+    Statement.CONDITIONAL_FAIL: "conditional",
+    Statement.INCONCLUSIVE: "none",
+    Statement.NOT_COMPLETE: "failed",
+    Statement.FAIL: "failed",
+}
+"""How the page shows a statement."""
+
+
 @dataclass(frozen=True)
 class VerdictInWords:
-    """The verdict: `state` (passed, failed, none), the worst point, limit and rule, how many points are what."""
+    """The verdict: `state` of the box and `word`, the worst point, limit, rule, risk, and what can be done."""
 
     state: str
+    word: str = "Not verified"
     worst: str = ""
     u: str = ""
     expanded: str = ""
+    k: str = ""
     unit: str = ""
     where: str = ""
     limit: str = ""
+    tur: str = ""
+    risk: str = ""
     rule: str = ""
     rule_in_words: str = ""
-    near: int = 0
     points: int = 0
-    missing: int = 0
     outside: int = 0
+    advice: tuple[str, ...] = ()
 
 
 def verdict(verification: Verification | None) -> VerdictInWords:
     """Return the verdict of a verification, "none" where there was none."""
     if verification is None:
         return VerdictInWords("none")
-    worst = max(verification.points, key=lambda p: abs(p.delta_g))
+    worst = verification.worst
     scale = scale_for(verification.limit_g, "g")
     decimals = max(places(worst.u / scale.size), 0)
-    near = sum(tables.near_limit(p.delta_g, p.u, verification.limit_g) for p in verification.points)
+    mark = "✓" if verification.passed else "✗"
     return VerdictInWords(
-        state="passed" if verification.passed else "failed",
+        state=STATES[verification.statement],
+        word=f"{mark} Verification{_of_a_verification(headline(verification))}",
         worst=fixed(abs(worst.delta_g) / scale.size, decimals),
         u=two_digits(worst.u / scale.size),
-        expanded=two_digits(2.0 * worst.u / scale.size),
+        expanded=two_digits(worst.U / scale.size),
+        k=f"{worst.k:.3g}",
         unit=scale.unit,
         where=f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})",
         limit=f"{verification.limit_g / scale.size:g}",
-        rule=verification.rule,
-        rule_in_words=RULES.get(verification.rule, ""),
-        near=near,
+        tur=f"{verification.tur:.2g}",
+        risk=risk_in_words(verification),
+        rule=verification.decision.words,
+        rule_in_words=rule_in_words(verification.decision),
         points=len(verification.points),
-        missing=verification.missing,
-        outside=sum(not p.passed for p in verification.points),
+        outside=sum(abs(p.delta_g) > verification.limit_g for p in verification.points),
+        advice=advice(verification),
     )
+
+
+def _of_a_verification(words: str) -> str:
+    """Return " passed", but ": conditional pass"."""
+    return f": {words}" if words.startswith("conditional") else f" {words}"
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,7 @@ def residuals_in_order(calibration: Calibration) -> str:
 
 
 def verification_points(verification: Verification) -> str:
-    """Δg at the verification points with bars of k = 2 between the limits (paper, Fig. 6)."""
+    """Δg at the verification points with bars of U between the limits (paper, Fig. 6)."""
     scale = scale_for(verification.limit_g, "g")
     limit = verification.limit_g / scale.size
     points = verification.points
@@ -127,8 +127,8 @@ def verification_points(verification: Verification) -> str:
         axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
         axes.axhline(0.0, color=GREY, linewidth=0.7)
         for passed, marker, colour, name in (
-            (True, "o", BLUE, "within the limit"),
-            (False, "X", VERMILION, "outside the limit"),
+            (True, "o", BLUE, "accepted"),
+            (False, "X", VERMILION, "not accepted"),
         ):
             chosen = [(j, p) for j, p in enumerate(points) if p.passed is passed]
             if chosen:
@@ -136,11 +136,11 @@ def verification_points(verification: Verification) -> str:
                 drawn = axes.errorbar(
                     at,
                     [p.delta_g / scale.size for _, p in chosen],
-                    [2.0 * p.u / scale.size for _, p in chosen],
+                    [p.U / scale.size for _, p in chosen],
                     fmt=marker, color=colour, markersize=6, capsize=4, linewidth=1.1, label=f"Δg, {name}",
                 )  # fmt: skip
                 drawn.lines[0].set_gid(f"readings-{'within' if passed else 'outside'}")
-        reach = max(limit, *(abs(p.delta_g) / scale.size + 2.0 * p.u / scale.size for p in points))
+        reach = max(limit, *((abs(p.delta_g) + p.U) / scale.size for p in points))
         axes.set_ylim(-1.2 * reach, 1.2 * reach)
         axes.set_xlim(-0.6, len(points) - 0.4)
         axes.set_xticks(range(len(points)), _verification_labels(verification))
@@ -154,7 +154,7 @@ def verification_points(verification: Verification) -> str:
         axes.set_ylabel(f"Δg / {scale.unit}")
         figure.legend(loc="outside upper center", ncols=2)
 
-    alt = f"Δg at {len(points)} verification points with k = 2 bars, limit ±{limit:g} {scale.unit}"
+    alt = f"Δg at {len(points)} verification points with bars of U, limit ±{limit:g} {scale.unit}"
     return svg_figure("verification", (6.4, 3.2), draw, alt)
 
 

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from bench.analysis.budget.propagation import correlation_of
 from bench.analysis.calibration import Calibration, Estimate, Noise, Verification
 from bench.analysis.calibration.design import SYMBOLS
+from bench.analysis.calibration.verdict_words import probability_in_words
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
@@ -210,7 +211,7 @@ def effects(calibration: Calibration) -> list[Row]:
 
 
 def verification(result: Verification) -> list[Row]:
-    """Return the verification points: angle, modulus, Δg, u, U (k = 2), part of the limit, verdict."""
+    """Return the verification points: angle, modulus, Δg, u, U, part of the limit, risks, statement."""
     scale = scale_for(result.limit_g, "g")
     rows = []
     for p in result.points:
@@ -223,24 +224,16 @@ def verification(result: Verification) -> list[Row]:
                     rounded(p.g_p, p.u),
                     fixed(p.delta_g / scale.size, decimals, sign=True),
                     two_digits(p.u / scale.size),
-                    two_digits(2.0 * p.u / scale.size),
+                    two_digits(p.U / scale.size),
                     f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
-                    _point_in_words(p.passed, near_limit(p.delta_g, p.u, result.limit_g)),
+                    probability_in_words(p.p_outside) if p.passed else "–",
+                    probability_in_words(1.0 - p.p_outside) if p.rejected else "–",
+                    str(p.statement),
                 ),
                 bad=not p.passed,
             )
         )
     return rows
-
-
-def near_limit(delta_g: float, u: float, limit_g: float) -> bool:
-    """Whether the limit lies within U (k = 2) of the error: the verdict could then be otherwise."""
-    return abs(abs(delta_g) - limit_g) < 2.0 * u
-
-
-def _point_in_words(passed: bool, near: bool) -> str:
-    verdict = "within" if passed else "outside"
-    return f"{verdict}, limit within U" if near else verdict
 
 
 def free(calibration: Calibration) -> tuple[str, list[Row]] | None:

@@ -9,7 +9,7 @@ import pytest
 
 from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.calibration import CalibrationError, verify
-from bench.analysis.calibration.verification import acceptance_limit
+from bench.analysis.calibration.conformity import DecisionRule
 from bench.model import Block
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
@@ -233,9 +233,8 @@ def test_the_guard_band_is_two_u():
 def test_a_guard_band_wider_than_the_limit_accepts_nothing():
     result = verify(check_readings(), Block(K, U0), np.zeros((12, 12)), 1e-3, 3e-4, rule="guarded")
     assert all(p.accepted_up_to < 0 and not p.passed for p in result.points)
-    assert acceptance_limit(3e-4, 1e-3, "simple acceptance") == 3e-4
-    with pytest.raises(CalibrationError, match="there are simple acceptance, guarded"):
-        acceptance_limit(3e-4, 1e-4, "strict")
+    with pytest.raises(CalibrationError, match="there are simple acceptance, guarded, non-binary"):
+        DecisionRule.of("strict")
 
 
 def test_verify_takes_the_rule(bench):
@@ -251,8 +250,9 @@ def test_verify_takes_the_rule(bench):
     assert (status, told["rule"], told["passed"]) == (1, "guarded", False)
     status, out, _ = bench(*arguments[:-2], "--rule", "guarded")
     assert status == 1
-    assert "in the guard band" in out
-    assert "rule: guarded (U, k = 2, taken off the limit)" in out
+    assert "conditional pass" in out
+    assert "CONDITIONAL PASS, not accepted: worst" in out
+    assert "limit 200 µg, rule: guarded (w = U), TUR" in out
     assert "accepted up to" in out
     status, _, err = bench(*arguments, "--rule", "kind")
     assert status == 2

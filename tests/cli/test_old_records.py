@@ -33,6 +33,15 @@ def comparable(value, of_float=float):
     return of_float(value) if isinstance(value, float) else value
 
 
+def as_then(value, expected):
+    """A result without the members that results did not have then."""
+    if isinstance(value, dict):
+        return {key: as_then(part, expected[key]) for key, part in value.items() if key in expected}
+    if isinstance(value, list):
+        return [as_then(*pair) for pair in zip(value, expected, strict=True)]
+    return value
+
+
 def within_rounding(value):
     return pytest.approx(value, rel=1e-7, abs=1e-15)
 
@@ -50,4 +59,4 @@ def test_an_old_record_evaluates_to_what_it_did(bench, recorded):
         status, out, _ = bench(command, recorded, "--json", "-")
         assert status == 0
         expected = json.loads((RECORDS / f"{command}.json").read_text(encoding="utf-8"))
-        assert comparable(json.loads(out)) == comparable(expected, within_rounding)
+        assert as_then(comparable(json.loads(out)), expected) == comparable(expected, within_rounding)

@@ -43,7 +43,7 @@ def without_drawing(monkeypatch):
 def test_a_dry_run_passes(bench, without_drawing, name):
     status, out, err = bench("run", "quick", "--dry-run", "--bench", name, "--name", "run", "--seed", "3")
     assert (status, err) == (0, "")
-    assert "run: PASSED" in out
+    assert "run: PASSED" in out or "run: CONDITIONAL PASS, accepted" in out
     run = Run(Path("runs/run"))
     readings = run.readings()
     plan = load_procedure(find_procedure("quick")).plan

@@ -16,9 +16,10 @@ from scipy import special
 from bench.analysis.budget.coefficients import Budget, Contribution, parts_of
 from bench.analysis.budget.propagation import coverage_factor, effective_dof
 from bench.analysis.budget.sources import ErrorSource
+from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.calibration.verification import acceptance_limit, modulus_slopes
+from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import Floats
 from bench.base.numbers import finite_or_none
 from bench.model import Conditions, Stage
@@ -100,10 +101,12 @@ def _of_reading(
     per_channel = np.eye(3)[None]
     alone = np.zeros((len(force), 3, 0))
     none = np.zeros((1, 3, 1))
-    if source.name in {"voltmeter_error", "voltmeter_linearity"}:
-        return none, np.broadcast_to(source.u * per_channel, (len(force), 3, 3))
-    if source.name in {"voltmeter_gain", "voltmeter_offset"}:
-        sensed = block.output(force) if source.name == "voltmeter_gain" else np.ones_like(force)
+    if source.kind in {"voltmeter_error", "voltmeter_linearity"}:
+        own = source.u * per_channel * source.on_channels
+        return none, np.broadcast_to(own, (len(force), 3, 3))
+    if source.kind in {"voltmeter_gain", "voltmeter_offset"}:
+        sensed = block.output(force) if source.kind == "voltmeter_gain" else np.ones_like(force)
+        sensed = sensed * source.on_channels
         meters = np.unique(budget.setup.meters, return_inverse=True)[1]
         errors = source.u * sensed[:, :, None] * np.eye(int(meters.max()) + 1)[meters][None]
         return (errors, alone) if same_voltmeters else (none, errors)
@@ -224,14 +227,14 @@ class DeltaG:
 
 
 def delta_g(
-    budget: Budget, limit_g: float, rule: str = "simple acceptance", *, reading: bool = True
+    budget: Budget, limit_g: float, rule: str | DecisionRule = SIMPLE, *, reading: bool = True
 ) -> tuple[DeltaG, ...]:
     """Return the uncertainty of delta g at each verification point of the setup, and the decision that it allows.
 
     Gain and gravity act on calibration and check alike and cancel; without `reading` the errors of the
     coefficients stand alone. Raises `CalibrationError` for an unknown rule.
     """
-    setup = budget.setup
+    setup, decision = budget.setup, DecisionRule.of(rule)
     rows = np.flatnonzero(setup.verification)
     if not len(rows):
         return ()
@@ -248,7 +251,7 @@ def delta_g(
     expanded = coverage_factor(dof, budget.probability) * u
     found = []
     for i, row in enumerate(rows):
-        limit = acceptance_limit(limit_g, float(expanded[i]), rule)
+        limit = decision.acceptance_limit(limit_g, float(expanded[i]))
         found.append(
             DeltaG(
                 angle_deg=float(np.degrees(setup.conditions.angle_rad[row])),

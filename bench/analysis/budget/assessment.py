@@ -13,6 +13,7 @@ from bench.analysis.budget.coefficients import Budget, make_budget
 from bench.analysis.budget.exact import ExactResult, exact_monte_carlo
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import ErrorSource
+from bench.analysis.calibration.conformity import DecisionRule
 
 DOMINATES: Final = 0.5
 """A source (or all of what the block has beside K and U0) dominates with more than this part of the variance."""
@@ -26,7 +27,7 @@ class Question:
 
     range_g: float
     limit_g: float
-    rule: str
+    rule: DecisionRule
     trials: int = 0
     same_voltmeters: bool = False
 
@@ -99,7 +100,8 @@ class Assessment:
             },
             "verification": {
                 "limit_g": question.limit_g,
-                "rule": question.rule,
+                "rule": question.rule.name,
+                "guard_band": question.rule.guard_band,
                 "capable": self.capable,
                 "points": [point.to_json() for point in self.points],
             },

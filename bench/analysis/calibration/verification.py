@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from bench.analysis.calibration.conformity import (
+    SIMPLE,
+    DecisionRule,
+    GlobalRisk,
+    Population,
+    Statement,
+    coverage_factor,
+    global_risk,
+    probability_one_outside,
+    probability_outside,
+)
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
+from bench.base.numbers import finite_or_none
 from bench.model.block import Block
 from bench.readings.table import Readings
 
 HIGHEST_CONDITION: Final = 1e8
 """Condition number of K above which its inverse is noise: a real block has one near 1."""
 
-SIMPLE: Final = "simple acceptance"
-GUARDED: Final = "guarded"
-RULES: Final = (SIMPLE, GUARDED)
-"""Decision rules: |delta g| within the limit (JCGM 106:2012, 8.2), or within the limit less a guard band that
-is the expanded uncertainty U (8.3.2, w = U)."""
-
-COVERAGE_FACTOR: Final = 2.0
-"""U is so many times u."""
-
 
 @dataclass(frozen=True)
 class VerificationPoint:
-    """One reading at a verification point: modulus `g_p` and its error `delta_g` in local g, with u.
+    """One reading at a verification point: modulus `g_p` and its error `delta_g` in local g, with u and U = k u.
 
     `accepted_up_to` is the acceptance limit of the rule there: negative where U is more than the limit, and
-    then nothing is accepted.
+    then nothing is accepted. `p_outside` is the probability that the true error is outside the limit.
     """
 
     angle_deg: float
@@ -39,8 +44,48 @@ class VerificationPoint:
     g_p: float
     delta_g: float
     u: float
-    passed: bool
-    accepted_up_to: float = float("inf")
+    U: float
+    k: float
+    dof: float
+    limit_g: float
+    accepted_up_to: float
+    statement: Statement
+    p_outside: float
+
+    @property
+    def tur(self) -> float:
+        """Test uncertainty ratio: the limit over U."""
+        return self.limit_g / self.U if self.U > 0.0 else float("inf")
+
+    @property
+    def passed(self) -> bool:
+        """Whether the rule accepts it."""
+        return abs(self.delta_g) <= self.accepted_up_to
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the rule rejects it; what nothing can be said of is neither accepted nor rejected."""
+        return not self.passed and self.statement is not Statement.INCONCLUSIVE
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the point as it was promised."""
+        return {
+            "angle_deg": self.angle_deg,
+            "pass": self.pass_number,
+            "point": self.point,
+            "g_p": self.g_p,
+            "delta_g": self.delta_g,
+            "u": self.u,
+            "U": self.U,
+            "k": self.k,
+            "dof": finite_or_none(self.dof),
+            "tur": finite_or_none(self.tur),
+            "accepted_up_to": self.accepted_up_to,
+            "passed": self.passed,
+            "statement": str(self.statement),
+            "p_false_accept": self.p_outside if self.passed else None,
+            "p_false_reject": 1.0 - self.p_outside if self.rejected else None,
+        }
 
 
 @dataclass(frozen=True)
@@ -48,39 +93,93 @@ class Verification:
     """The verdict: |delta g| within the limit, by the rule, at every verification point.
 
     `missing` counts points that were planned or written down but could not be judged: with one missing
-    nothing is accepted, since (10) is demanded of every point.
+    nothing is accepted, since (10) is demanded of every point. `covariance` (n, n) is that of delta g at the
+    points, which have the coefficients in common. `population` is what is known of delta g over many blocks.
     """
 
     limit_g: float
     points: tuple[VerificationPoint, ...]
+    covariance: Floats
     missing: int = 0
-    rule: str = SIMPLE
+    decision: DecisionRule = field(default_factory=DecisionRule)
+    population: Population | None = None
+
+    @property
+    def rule(self) -> str:
+        """Name of the decision rule."""
+        return self.decision.name
 
     @property
     def passed(self) -> bool:
         """Whether every point was measured and passed."""
         return not self.missing and all(point.passed for point in self.points)
 
+    @property
+    def statement(self) -> Statement:
+        """The statement on the worst of its points: one that fails cannot be made good by others."""
+        found = [point.statement for point in self.points]
+        found += [Statement.NOT_COMPLETE] * bool(self.missing)
+        return max(found, key=list(Statement).index)
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the rule rejects a point, so that nothing more need be measured."""
+        return any(point.rejected for point in self.points)
+
+    @property
+    def worst(self) -> VerificationPoint:
+        """The point with the largest |delta g|."""
+        return max(self.points, key=lambda p: abs(p.delta_g))
+
+    @property
+    def expanded(self) -> float:
+        """Largest expanded uncertainty of the points, local g."""
+        return max(point.U for point in self.points)
+
+    @property
+    def tur(self) -> float:
+        """Least test uncertainty ratio of the points."""
+        return min(point.tur for point in self.points)
+
+    @property
+    def p_outside_worst(self) -> float:
+        """Probability that the true error is outside the limit at that point where it is most probable."""
+        return max(point.p_outside for point in self.points)
+
+    @cached_property
+    def p_outside(self) -> float:
+        """Probability that the true error is outside the limit at one of the points at least."""
+        errors, dof = ([getattr(p, name) for p in self.points] for name in ("delta_g", "dof"))
+        return probability_one_outside(np.array(errors), self.covariance, self.limit_g, dof)
+
+    @cached_property
+    def global_risk(self) -> GlobalRisk | None:
+        """What the rule does to all blocks of the population, at the point with the largest U; None without one."""
+        if self.population is None:
+            return None
+        point = max(self.points, key=lambda p: p.U)
+        return global_risk(self.population, point.u, self.limit_g, point.accepted_up_to, point.dof)
+
     def to_json(self) -> dict[str, Any]:
         """Return the promised result."""
+        of_all, accepted = self.global_risk, self.passed
         return {
             "limit_g": self.limit_g,
             "rule": self.rule,
-            "passed": self.passed,
+            "guard_band": self.decision.guard_band,
+            "passed": accepted,
+            "statement": str(self.statement),
             "missing": self.missing,
-            "points": [
-                {
-                    "angle_deg": p.angle_deg,
-                    "pass": p.pass_number,
-                    "point": p.point,
-                    "g_p": p.g_p,
-                    "delta_g": p.delta_g,
-                    "u": p.u,
-                    "accepted_up_to": p.accepted_up_to,
-                    "passed": p.passed,
-                }
-                for p in self.points
-            ],
+            "U": self.expanded,
+            "tur": finite_or_none(self.tur),
+            "p_false_accept": self.p_outside if accepted else None,
+            "p_false_accept_worst": self.p_outside_worst if accepted else None,
+            "p_false_reject": 1.0 - self.p_outside if self.rejected else None,
+            "global_risk": None
+            if of_all is None or self.population is None
+            else {**vars(of_all), "population": vars(self.population)},
+            "points": [point.to_json() for point in self.points],
+            "covariance": self.covariance.tolist(),
         }
 
 
@@ -88,18 +187,24 @@ def verify(
     readings: Readings,
     block: Block,
     covariance: Floats,
-    reading_noise: float,
+    reading_noise: float | Floats,
     limit_g: float,
     g_ratio: float = 1.0,
-    rule: str = SIMPLE,
+    rule: str | DecisionRule = SIMPLE,
+    *,
+    dof: ArrayLike = np.inf,
+    signal_u: Floats | None = None,
+    population: Population | None = None,
 ) -> Verification:
     """Apply (9)-(10) to the verification rows of a table.
 
     `g_ratio` is the gravity in which the coefficients are given over the local one: a block calibrated
-    elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients and
-    `reading_noise` (unit of the signal) give u of each delta g; the setting of the head does not enter, the
-    modulus does not depend on it. `rule` is one of `RULES`. Raises `CalibrationError` when there is no
-    verification row, K is singular or the rule is unknown.
+    elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients, `reading_noise`
+    fresh in each signal (unit of the signal; one size, or one for each channel) and `signal_u` (3,), standard
+    uncertainties of the channels' signals that are the same at all points, give u of each delta g, with degrees of
+    freedom `dof`; the setting of the head does not enter, the modulus does not depend on it. `rule` is one of
+    `RULES`, or a rule with another guard band. Raises `CalibrationError` when there is no verification row, K is
+    singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:
@@ -111,44 +216,39 @@ def verify(
         raise CalibrationError(
             "the matrix K is singular, so no specific force follows from a signal; check the coefficients"
         )
+    decision = DecisionRule.of(rule)
     force = block.specific_force(rows.signal)
     g_p = np.linalg.norm(force, axis=1) * g_ratio
+    errors = g_p - 1.0
     by_coefficient, by_signal = modulus_slopes(force, block)
-    variance = np.einsum("np,pq,nq->n", by_coefficient, covariance, by_coefficient)
-    variance += reading_noise**2 * np.sum(by_signal**2, axis=1)
-    u = np.sqrt(variance) * g_ratio
-    limits = [acceptance_limit(limit_g, COVERAGE_FACTOR * float(one), rule) for one in u]
+    common = np.zeros(3) if signal_u is None else np.asarray(signal_u, dtype=np.float64)
+    together = by_coefficient @ covariance @ by_coefficient.T + (by_signal * common**2) @ by_signal.T
+    together += np.diag(by_signal**2 @ np.broadcast_to(np.square(reading_noise), 3))
+    together *= g_ratio**2
+    u = np.sqrt(np.maximum(np.diag(together), 0.0))
+    nu = np.broadcast_to(np.asarray(dof, dtype=np.float64), u.shape)
+    k = coverage_factor(nu)
+    expanded = k * u
+    outside = probability_outside(errors, u, limit_g, nu)
     points = tuple(
         VerificationPoint(
             angle_deg=float(np.degrees(rows.angle_rad[i])),
             pass_number=int(rows.pass_number[i]),
             point=int(rows.point[i]),
             g_p=float(g_p[i]),
-            delta_g=float(g_p[i] - 1.0),
+            delta_g=float(errors[i]),
             u=float(u[i]),
-            passed=bool(abs(g_p[i] - 1.0) <= limits[i]),
-            accepted_up_to=limits[i],
+            U=float(expanded[i]),
+            k=float(k[i]),
+            dof=float(nu[i]),
+            limit_g=limit_g,
+            accepted_up_to=decision.acceptance_limit(limit_g, float(expanded[i])),
+            statement=decision.statement(float(errors[i]), limit_g, float(expanded[i])),
+            p_outside=float(outside[i]),
         )
         for i in range(len(rows))
     )
-    return Verification(limit_g, points, readings.verification_missing, rule)
-
-
-def rule_name(asked: str) -> str:
-    """Return the rule for what a person typed: "simple" is simple acceptance. Raises `CalibrationError`."""
-    name = SIMPLE if asked == "simple" else asked
-    if name not in RULES:
-        raise CalibrationError(f"no decision rule {asked!r}; there are {', '.join(RULES)}")
-    return name
-
-
-def acceptance_limit(limit_g: float, expanded: float, rule: str) -> float:
-    """Return up to which |delta g| a rule accepts; negative where the guard band leaves nothing.
-
-    `expanded` is the uncertainty U of delta g. Source: JCGM 106:2012, 8.2.1 and 8.3.2.1 (w = U). Raises
-    `CalibrationError` for an unknown rule.
-    """
-    return limit_g - expanded if rule_name(rule) == GUARDED else limit_g
+    return Verification(limit_g, points, together, readings.verification_missing, decision, population)
 
 
 def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:

@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 from scipy import special
 
+from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.calibration.verification import COVERAGE_FACTOR
 from bench.base.arrays import Floats, Mask, u_of
 from bench.model.block import COEFFICIENTS
 

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator,
 from bench.base.forms import FileModel
 from bench.base.units import (
     ACCELERATION,
+    GRAVITY,
     VOLTAGE,
     AccelerationG,
     AccelerationMS2,
@@ -18,6 +19,7 @@ from bench.base.units import (
     SizeRad,
     not_negative,
 )
+from bench.devices.certificates import Day
 from bench.devices.chambers import TemperatureRange
 from bench.model import Distribution, Installation
 from bench.model.gravity import normal_gravity_m_s2
@@ -55,13 +57,27 @@ def _plausible_gravity(g_m_s2: float) -> float:
     return g_m_s2
 
 
+class MeasuredGravity(FileModel):
+    """A value of local gravity with who found it when, and its expanded uncertainty U = k u."""
+
+    value: Annotated[AccelerationMS2, AfterValidator(_plausible_gravity)]
+    source: str
+    date: Day
+    U: Annotated[float, not_negative(GRAVITY)]
+    k: Annotated[float, Field(gt=0.0)]
+    dof: Annotated[float, Field(gt=0.0)] = float("inf")
+
+
 def _form_of_gravity(written: Any) -> str:
+    if isinstance(written, MeasuredGravity) or (isinstance(written, dict) and "value" in written):
+        return "gravity with its source"
     return "location of gravity" if isinstance(written, dict | Location) else "value of gravity"
 
 
 Gravity = Annotated[
     Annotated[AccelerationMS2, AfterValidator(_plausible_gravity), Tag("value of gravity")]
-    | Annotated[Location, Tag("location of gravity")],
+    | Annotated[Location, Tag("location of gravity")]
+    | Annotated[MeasuredGravity, Tag("gravity with its source")],
     Discriminator(_form_of_gravity),
 ]
 
@@ -168,7 +184,37 @@ class UnitUnderTest(FileModel):
     temperature: TemperatureRange
 
 
+class PopulationSection(FileModel):
+    """What is known of Δg over many blocks of this type, before one is measured: a normal distribution."""
+
+    mean: AccelerationG = 0.0
+    standard_deviation: SizeG
+
+    @field_validator("standard_deviation")
+    @classmethod
+    def _more_than_none(cls, size_g: float) -> float:
+        if size_g == 0.0:
+            raise ValueError(
+                "blocks that are all alike need no verification; state a standard deviation above zero"
+            )
+        return size_g
+
+
 class VerificationSection(FileModel):
-    """Delta g_A: how far the measured modulus of gravity may be from 1 g."""
+    """Delta g_A: how far the measured modulus of gravity may be from 1 g, and how the verdict is found.
+
+    The guard band of the rule is so many times U; a rule that is left out is simple acceptance.
+    """
 
     limit: SizeG
+    rule: Literal["simple acceptance", "guarded", "non-binary"] = "simple acceptance"
+    guard_band: Annotated[float, Field(gt=0.0)] | None = None
+    population: PopulationSection | None = None
+
+    @model_validator(mode="after")
+    def _band_with_its_rule(self) -> VerificationSection:
+        if self.rule == "simple acceptance" and self.guard_band is not None:
+            raise ValueError(
+                "simple acceptance takes no guard band off the limit; leave it out, or say rule: guarded"
+            )
+        return self

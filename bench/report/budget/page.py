@@ -7,9 +7,10 @@ from typing import Any
 
 from markupsafe import Markup
 
+from bench.analysis.calibration.conformity import DecisionRule
+from bench.analysis.calibration.verdict_words import rule_in_words
 from bench.base.numbers import fixed
 from bench.report.budget.plots import contributions, modulus
-from bench.report.page import RULES
 from bench.report.tables import Row, symbol
 from bench.report.template import page
 
@@ -27,7 +28,7 @@ def render_budget(result: Mapping[str, Any]) -> str:
         points=_points(result),
         verdict={True: "passed", False: "failed", None: "none"}[check["capable"]],
         limit=f"{1e6 * check['limit_g']:g}",
-        rule_in_words=RULES[check["rule"]],
+        rule_in_words=rule_in_words(DecisionRule(check["rule"], check["guard_band"])),
         monte_carlo=_monte_carlo(result),
         contributions=Markup(contributions(result).svg()),  # noqa: S704 - our own drawing
         modulus=Markup(modulus(result).svg()),  # noqa: S704

@@ -104,7 +104,7 @@ def _print_points(out: Console, found: Assessment) -> None:
     out.print(rows)
     verdict = "can be passed" if found.capable else "CANNOT BE PASSED"
     out.print(
-        f"check of |Δg| ≤ {question.limit_g * 1e6:g} µg, rule: {question.rule}: {verdict} "
+        f"check of |Δg| ≤ {question.limit_g * 1e6:g} µg, rule: {question.rule.words}: {verdict} "
         "(U against what is accepted, at every point)",
         style="bold",
     )

@@ -120,10 +120,11 @@ def test_decision_simple_and_guarded():
 
 
 def test_probability_to_pass():
-    """erf: a normal error of u within 1.96 u in 95 % of cases."""
+    """erf: a normal error of u is within 2.575829 u in 99 % of cases; with U beyond the limit nothing passes."""
     budget = make_budget(SETUP, stand(), "gls")
     u = delta_g(budget, 1.0)[0].u
-    assert delta_g(budget, 1.959964 * u)[0].passes == pytest.approx(0.95, abs=1e-6)
+    assert delta_g(budget, 2.575829 * u)[0].passes == pytest.approx(0.99, abs=1e-6)
+    assert delta_g(budget, 1.959964 * u)[0].passes == 0.0
 
 
 def test_without_verification_points_there_is_no_decision():

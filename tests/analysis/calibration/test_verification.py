@@ -1,9 +1,13 @@
 """The check (9)-(10) at the verification points, against closed forms and Monte Carlo."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bench.analysis.calibration import CalibrationError, calibrate, verify
+from bench.analysis.calibration.conformity import Population, global_risk
+from bench.analysis.calibration.verdict_words import advice
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
@@ -117,3 +121,110 @@ def test_result_as_promised():
     assert result["rule"] == "simple acceptance"
     assert result["passed"] is True
     assert set(result["points"][0]) >= {"angle_deg", "g_p", "delta_g", "u", "passed"}
+
+
+# --- the verdict ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def covariance():
+    model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+    return calibrate(simulate(np.random.default_rng(3), 1e-4), model, STAND_U, 9.81).covariance
+
+
+def drawn_errors(covariance, noise, signal_u, draws=20_000):
+    """Δg of coefficients, readings and channels that are off at random, by the modulus itself (seed 8)."""
+    rng = np.random.default_rng(8)
+    coefficients = rng.multivariate_normal(TRUTH, covariance, draws)
+    signal = turned().signal + rng.normal(0, noise, (draws, 4, 3)) + rng.normal(0, signal_u, (draws, 1, 3))
+    inverse = np.linalg.inv(coefficients[:, :9].reshape(draws, 1, 3, 3))
+    return np.linalg.norm((inverse @ (signal - coefficients[:, None, 9:])[..., None])[..., 0], axis=2) - 1
+
+
+def test_covariance_of_the_points_with_sizes_per_channel_by_monte_carlo(covariance):
+    noise, signal_u = np.array([3e-5, 1e-4, 3e-4]), np.array([1e-4, 2e-4, 5e-5])
+    result = verify(turned(), BLOCK, covariance, noise, 3e-4, signal_u=signal_u)
+    found = np.cov(drawn_errors(covariance, noise, signal_u).T)
+    u = np.sqrt(np.diag(found))
+    # of 20,000 draws: five standard deviations of a covariance
+    np.testing.assert_allclose(
+        result.covariance / np.outer(u, u), found / np.outer(u, u), atol=5 / np.sqrt(1e4)
+    )
+    assert [p.u for p in result.points] == pytest.approx(np.sqrt(np.diag(result.covariance)))
+
+
+def test_one_size_for_all_channels_is_that_size_in_each(covariance):
+    one, three = (verify(turned(), BLOCK, covariance, noise, 3e-4) for noise in (1e-4, np.full(3, 1e-4)))
+    np.testing.assert_array_equal(one.covariance, three.covariance)
+
+
+def test_what_all_points_share_is_common_to_them():
+    """A channel's offset alone moves all points together: the covariance has rank 1."""
+    result = verify(turned(), BLOCK, NONE, 0.0, 3e-4, signal_u=np.array([0.0, 0.0, 1e-4]))
+    assert np.linalg.matrix_rank(result.covariance, tol=1e-3 * result.covariance.max()) == 1
+
+
+def test_u_grows_as_its_degrees_of_freedom_shrink():
+    certain, few = (verify(turned(), BLOCK, NONE, 1e-4, 3e-4, dof=dof) for dof in (np.inf, 5.0))
+    for one, other in zip(certain.points, few.points, strict=True):
+        assert (one.k, one.dof, one.U) == (2.0, np.inf, 2 * one.u)
+        assert other.k == pytest.approx(
+            2.6487, abs=1e-4
+        )  # t of 5 degrees of freedom at 95.45 % (GUM, table G.2)
+        assert pytest.approx(other.k * one.u) == other.U
+        assert other.p_outside > one.p_outside
+    told = few.to_json()["points"][0]
+    assert (told["dof"], told["k"]) == (5.0, few.points[0].k)
+    assert certain.to_json()["points"][0]["dof"] is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "noise", "rule", "statement", "passed"),
+    [
+        (1.0, 1e-5, "simple", "pass", True),
+        (1.0, 1e-5, "guarded", "pass", True),
+        (1.00055, 1e-4, "simple", "conditional pass", True),
+        (1.00055, 1e-4, "guarded", "conditional pass", False),
+        (1.00065, 1e-4, "simple", "conditional fail", False),
+        (1.001, 1e-4, "non-binary", "fail", False),
+        (1.0, 4e-4, "simple", "inconclusive", False),
+        (1.0, 4e-4, "guarded", "inconclusive", False),
+        (1.01, 4e-4, "simple", "fail", False),
+    ],
+)
+def test_statement_and_decision(factor, noise, rule, statement, passed):
+    result = verify(turned(), altered_z(factor), NONE, noise, 3e-4, rule=rule)
+    told = result.to_json()
+    assert (told["statement"], told["passed"]) == (statement, passed)
+    decided = "p_false_accept" if passed else "p_false_reject"
+    for name in ("p_false_accept", "p_false_reject"):
+        assert (told[name] is None) is (statement == "inconclusive" or name != decided), name
+    assert told["tur"] == pytest.approx(3e-4 / max(p.U for p in result.points))
+
+
+def test_a_missing_point_leaves_the_verdict_open_but_not_a_failure():
+    open_verdict = verify(replace(turned(), verification_missing=1), BLOCK, NONE, 1e-5, 3e-4)
+    assert (open_verdict.statement, open_verdict.passed) == ("not complete", False)
+    assert open_verdict.to_json()["p_false_reject"] is None
+    failed = verify(replace(turned(), verification_missing=1), altered_z(1.01), NONE, 1e-5, 3e-4)
+    assert failed.statement == "fail"
+
+
+def test_risks_of_all_points_and_of_the_worst(covariance):
+    result = verify(turned(), altered_z(1.0005), covariance, 1e-4, 3e-4)
+    single = [p.p_outside for p in result.points]
+    assert result.p_outside_worst == max(single)
+    assert max(single) < result.p_outside < sum(single)
+    told = result.to_json()
+    assert (told["p_false_accept"], told["p_false_accept_worst"]) == (result.p_outside, max(single))
+    assert told["global_risk"] is None
+
+
+def test_a_global_risk_only_of_a_stated_population(covariance):
+    population = Population(0.0, 1e-4)
+    result = verify(turned(), BLOCK, covariance, 1e-4, 3e-4, rule="guarded", population=population)
+    worst = max(result.points, key=lambda p: p.u)
+    expected = global_risk(population, worst.u, 3e-4, 3e-4 - worst.U)
+    told = result.to_json()["global_risk"]
+    assert (told["false_accept"], told["false_reject"]) == (expected.false_accept, expected.false_reject)
+    assert any("standard deviation 100 µg, as stated" in sentence for sentence in advice(result))

@@ -1,0 +1,123 @@
+"""A verdict in words: the same on the terminal and on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
+from bench.analysis.calibration.verification import Verification
+
+HEADLINES: Final = {
+    Statement.PASS: "passed",
+    Statement.CONDITIONAL_PASS: "conditional pass",
+    Statement.CONDITIONAL_FAIL: "conditional fail",
+    Statement.INCONCLUSIVE: "inconclusive",
+    Statement.NOT_COMPLETE: "not complete",
+    Statement.FAIL: "failed",
+}
+"""What the verdict on a whole verification is called."""
+
+_LEAST_SHOWN: Final = 1e-4
+
+
+def headline(result: Verification, *, upper: bool = False) -> str:
+    """Return the verdict in a word or two; of a conditional pass, whether the rule accepts it."""
+    word = HEADLINES[result.statement]
+    word = word.upper() if upper else word
+    if result.statement is Statement.CONDITIONAL_PASS:
+        return f"{word}, {'accepted' if result.passed else 'not accepted'}"
+    return word
+
+
+def rule_in_words(rule: DecisionRule) -> str:
+    """Return what a decision rule accepts, with its source."""
+    times = "" if rule.guard_band == 1.0 else f"{rule.guard_band:g} "
+    if rule.name == SIMPLE:
+        return (
+            "accepted when |Δg| ≤ limit at every verification point; no guard band is taken off the limit "
+            "(JCGM 106:2012, 8.2)"
+        )
+    accepted = (
+        f"accepted when |Δg| + {times}U ≤ limit at every verification point; a guard band w = {times}U is taken "
+        "off the limit (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
+    )
+    if rule.name != NON_BINARY:
+        return accepted
+    return f"{accepted}; what lies within w of the limit is conditional, and the customer's to accept"
+
+
+def probability_in_words(p: float) -> str:
+    """Return a probability with two digits: "0.012", "< 0.0001"."""
+    if p < _LEAST_SHOWN:
+        return f"< {_LEAST_SHOWN:g}"
+    return f"{p:.2g}" if p < 1.0 - _LEAST_SHOWN else f"> {1.0 - _LEAST_SHOWN:g}"
+
+
+def risk_in_words(result: Verification) -> str:
+    """Return the specific risk of the decision, of all points together and of the worst; empty without one."""
+    if result.passed:
+        of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
+        single = "" if of_all == worst else f" ({worst} at the worst point)"
+        return f"probability of false acceptance {of_all}{single}"
+    if result.rejected:
+        return f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}"
+    return ""
+
+
+def verdict_line(name: str, result: Verification) -> str:
+    """Return the verdict on what is called `name` in one line."""
+    worst = result.worst
+    facts = [
+        f"worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg ± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g})",
+        f"limit {result.limit_g * 1e6:.4g} µg",
+        f"rule: {result.decision.words}",
+        f"TUR {result.tur:.2g}",
+        risk_in_words(result),
+        f"{result.missing} verification points are missing" if result.missing else "",
+    ]
+    return f"{name}: {headline(result, upper=True)}: {', '.join(fact for fact in facts if fact)}"
+
+
+def advice(result: Verification) -> tuple[str, ...]:
+    """Return what the statements mean and what can be done, a sentence each."""
+    number = {s: sum(p.statement is s for p in result.points) for s in Statement}
+    sentences = {
+        Statement.FAIL: (
+            "beyond the limit by more than the guard band: 'bench diagnose' tells what is wrong with block, stand "
+            "or procedure"
+        ),
+        Statement.INCONCLUSIVE: (
+            f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
+            f"{result.limit_g * 1e6:.4g} µg, so nothing can be said safely, neither that the block "
+            "conforms nor that it does not; more passes, a better voltmeter or a better known stand make U "
+            "smaller, and 'bench budget' says what makes most of it"
+        ),
+        Statement.CONDITIONAL_FAIL: (
+            "beyond the limit by less than the guard band: the block may conform all the same; more passes make U "
+            "smaller and tell"
+        ),
+        Statement.CONDITIONAL_PASS: (
+            "within the limit by less than the guard band: the block may not conform all the same; more passes "
+            "make U smaller and tell"
+        ),
+    }
+    of = f"of {len(result.points)} verification points"
+    found = [f"{number[s]} {of} {sentence}" for s, sentence in sentences.items() if number[s]]
+    if result.missing:
+        found.append(
+            f"{result.missing} verification points are missing, and nothing is accepted without them: "
+            "measure them, too"
+        )
+    return (*found, *_global_risk_in_words(result))
+
+
+def _global_risk_in_words(result: Verification) -> Iterator[str]:
+    risk, population = result.global_risk, result.population
+    if risk is not None and population is not None:
+        yield (
+            f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
+            f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
+            f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
+            f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U)"
+        )

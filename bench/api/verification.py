@@ -1,0 +1,212 @@
+"""From coefficients to a verdict at the verification points, by limit and rule of the bench or of who asks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+
+from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
+from bench.analysis.calibration import verify as check
+from bench.analysis.calibration.conformity import GUARDED, SIMPLE, DecisionRule, Population
+from bench.analysis.calibration.verdict_words import advice, probability_in_words, verdict_line
+from bench.api.calibration import CalibrationResult, calibration_of
+from bench.api.coefficients import Coefficients, read_coefficients
+from bench.api.errors import Refused
+from bench.api.source import Source
+from bench.base.tables import as_html, as_text, table
+from bench.files.bench.file import BenchFile
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How a verdict is to be found in place of what the bench file says; None leaves it to that.
+
+    `limit_g` of |Δg| in g, `rule` and its guard band in U, `population` (mean, standard deviation of Δg in g).
+    """
+
+    limit_g: float | None = None
+    rule: str | None = None
+    guard_band: float | None = None
+    population: tuple[float, float] | None = None
+
+    def check(self) -> None:
+        """Refuse, all at once, a limit, a rule, a guard band or a population that is none. Raises `Refused`."""
+        mistakes = []
+        if self.limit_g is not None and not (math.isfinite(self.limit_g) and self.limit_g > 0):
+            mistakes.append(f"--limit {self.limit_g}: a limit is a positive number of g, such as 3e-4")
+        try:
+            DecisionRule.of(self.rule or GUARDED, self.guard_band)
+        except CalibrationError as mistake:
+            mistakes.append(str(mistake))
+        try:
+            if self.population is not None:
+                Population(*self.population)
+        except CalibrationError as mistake:
+            mistakes.append(str(mistake))
+        if mistakes:
+            raise Refused("; ".join(mistakes))
+
+
+NOTHING_ASKED: Final = Asked()
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """By what a verdict is found: limit of |Δg| in g, decision rule, and what is known of Δg over many blocks."""
+
+    limit_g: float
+    rule: DecisionRule
+    population: Population | None
+
+
+def judgement_of(bench: BenchFile, asked: Asked = NOTHING_ASKED) -> Judgement:
+    """Return by what a verdict is found: what was asked for, else what the bench file says.
+
+    A guard band that the bench file states goes with its own rule alone. Raises `Refused` as `Asked.check`, and
+    `CalibrationError` for a guard band with a rule that has none.
+    """
+    asked.check()
+    stated = bench.verification
+    own = DecisionRule.of(stated.rule, stated.guard_band)
+    rule = own
+    if asked.rule is not None or asked.guard_band is not None:
+        name = own.name if asked.rule is None else DecisionRule.of(asked.rule).name
+        band = stated.guard_band if asked.guard_band is None and name == own.name else asked.guard_band
+        rule = DecisionRule.of(name, band)
+    population = None
+    if asked.population is not None:
+        population = Population(*asked.population)
+    elif stated.population is not None:
+        population = Population(stated.population.mean, stated.population.standard_deviation)
+    return Judgement(stated.limit if asked.limit_g is None else asked.limit_g, rule, population)
+
+
+@dataclass(frozen=True)
+class VerificationResult:
+    """Δg at the verification points of a source against the limit; `warnings` are on the coefficients taken."""
+
+    source: Source
+    verification: Verification
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every verification point was measured and accepted by the rule."""
+        return self.verification.passed
+
+    @property
+    def statement(self) -> str:
+        """pass, conditional pass, conditional fail, fail; inconclusive where U exceeds the limit; not complete."""
+        return str(self.verification.statement)
+
+    @property
+    def otherwise(self) -> bool:
+        """Whether it is judged otherwise than the run's own verdict is: another limit, rule or population."""
+        own, found = judgement_of(self.source.bench), self.verification
+        return Judgement(found.limit_g, found.decision, found.population) != own
+
+    @property
+    def bench(self) -> str:
+        """Which bench file gave the limit, the rule, the errors of the stand and gravity; and why that one."""
+        return self.source.taken.words
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the result should know, a sentence each."""
+        return (*self.source.readings.notes, *self.source.readings.skipped, *advice(self.verification))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench verify --json` writes it."""
+        return {
+            **self.verification.to_json(),
+            "notes": list(advice(self.verification)),
+            "bench": self.source.taken.to_dict(),
+            "corrections": self.source.traced.to_json(),
+        }
+
+    def table(self) -> Table:
+        """Return Δg at each verification point, the statement, and the risk that the decision is wrong."""
+        result = self.verification
+        shown = table("verification point", *_headings(result))
+        for p in result.points:
+            cells = [
+                f"{p.angle_deg:.4f}°",
+                f"{p.delta_g * 1e6:+.1f} µg",
+                f"{p.u * 1e6:.1f} µg",
+                f"{p.U * 1e6:.1f} µg",
+            ]
+            if result.rule != SIMPLE:
+                cells.append(f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else "nothing")
+            shown.add_row(f"pass {p.pass_number} point {p.point}", *cells, *_risks(p), str(p.statement))
+        return shown
+
+    def verdict(self) -> str:
+        """Return the verdict in one line."""
+        return verdict_line(self.source.name, self.verification)
+
+    def __repr__(self) -> str:
+        """Return the points and the verdict."""
+
+        def print_on(out: Console) -> None:
+            out.print(self.table())
+            for line in self._below():
+                out.print(line)
+
+        return as_text(print_on)
+
+    def _below(self) -> list[str]:
+        notes = (*self.warnings, *self.notes)
+        return [f"bench: {self.bench}", *(f"note: {note}" for note in notes), self.verdict()]
+
+    def _repr_html_(self) -> str:
+        return as_html([], self.table()) + as_html(self._below())
+
+
+def _headings(result: Verification) -> list[str]:
+    expanded = ">U (k=2)" if all(p.k == 2.0 for p in result.points) else ">U (95.45 %)"
+    accepted = [] if result.rule == SIMPLE else [">accepted up to"]
+    return [">angle", ">Δg", ">u", expanded, *accepted, ">false accept", ">false reject", "statement"]
+
+
+def _risks(point: VerificationPoint) -> tuple[str, str]:
+    """The risks of a false acceptance and of a false rejection at a point; a dash where it is neither."""
+    accepted = probability_in_words(point.p_outside) if point.passed else "–"
+    return accepted, probability_in_words(1.0 - point.p_outside) if point.rejected else "–"
+
+
+def verification_of(
+    source: Source,
+    coefficients: Path | CalibrationResult | None = None,
+    asked: Asked = NOTHING_ASKED,
+) -> VerificationResult:
+    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings."""
+    judgement = judgement_of(source.bench, asked)
+    warnings: tuple[str, ...] = ()
+    if coefficients is None:
+        coefficients = calibration_of(source)
+        source = coefficients.source
+    if isinstance(coefficients, CalibrationResult):
+        own = coefficients.calibration
+        if own.unit != source.readings.unit:
+            raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
+        taken = Coefficients(own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit)
+    else:
+        taken = read_coefficients(coefficients, source.readings.unit)
+        if taken.simulated and not source.simulated:
+            warnings = (f"the coefficients in {coefficients} were found on simulated instruments",)
+    verdict = check(
+        source.readings,
+        taken.block,
+        taken.covariance,
+        taken.noise,
+        judgement.limit_g,
+        taken.g_m_s2 / source.g_m_s2,
+        judgement.rule,
+        population=judgement.population,
+    )
+    return VerificationResult(source, verdict, warnings)

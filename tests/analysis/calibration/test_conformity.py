@@ -1,0 +1,212 @@
+"""Conformity with a tolerance, against published examples, closed forms of scipy and simulation."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bench.analysis.calibration import CalibrationError
+from bench.analysis.calibration.conformity import (
+    GUARDED,
+    NON_BINARY,
+    RULES,
+    SIMPLE,
+    DecisionRule,
+    Population,
+    Statement,
+    coverage_factor,
+    global_risk,
+    probability_one_outside,
+    probability_outside,
+)
+
+VALUES = np.linspace(-5.0, 5.0, 41)
+
+
+# --- one quantity -----------------------------------------------------------------------------------
+
+
+def test_the_oil_of_jcgm_106():
+    """JCGM 106:2012, 7.4, example: viscosity 13.6 within 12.5 to 16.3 mm²/s, u = 1.8 mm²/s: p = 0.66."""
+    middle, half = (12.5 + 16.3) / 2, (16.3 - 12.5) / 2
+    assert 1 - float(probability_outside(13.6 - middle, 1.8, half)) == pytest.approx(0.66, abs=0.005)
+
+
+def test_the_diode_of_jcgm_106():
+    """JCGM 106:2012, 7.3, example: one limit, 0.07 V = 1.4 u away: p = 0.92; the other limit is far away."""
+    far = 100.0
+    assert 1 - float(probability_outside(far - 0.07, 0.05, far)) == pytest.approx(0.92, abs=0.005)
+
+
+@pytest.mark.parametrize("dof", [np.inf, 50.0, 7.0, 3.0])
+def test_the_probability_is_what_the_distribution_leaves_outside(dof):
+    posterior = stats.norm(VALUES, 0.7) if np.isinf(dof) else stats.t(dof, VALUES, 0.7)
+    expected = posterior.sf(2.0) + posterior.cdf(-2.0)
+    np.testing.assert_allclose(probability_outside(VALUES, 0.7, 2.0, dof), expected, rtol=1e-9)
+
+
+def test_a_value_that_is_certain_is_in_or_out():
+    np.testing.assert_array_equal(probability_outside([1.9, -2.0, 2.1], 0.0, 2.0), [0, 0, 1])
+
+
+def test_the_coverage_factor_keeps_the_level_of_two():
+    level = stats.norm.cdf(2.0) - stats.norm.cdf(-2.0)
+    dof = np.array([3.0, 10.0, 42.0])
+    np.testing.assert_allclose(coverage_factor(dof), stats.t.interval(level, dof)[1], rtol=1e-9)
+    assert coverage_factor(np.inf) == 2.0
+
+
+# --- rules and statements ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "band", "value", "accepted", "statement"),
+    [
+        (SIMPLE, None, 0.69, True, "pass"),
+        (SIMPLE, None, 0.99, True, "conditional pass"),
+        (SIMPLE, None, 1.01, False, "conditional fail"),
+        (SIMPLE, None, 1.31, False, "fail"),
+        (GUARDED, None, 0.69, True, "pass"),
+        (GUARDED, None, 0.71, False, "conditional pass"),
+        (GUARDED, 0.5, 0.84, True, "pass"),
+        (GUARDED, 0.5, 0.86, False, "conditional pass"),
+        (GUARDED, 0.5, 1.16, False, "fail"),
+        (GUARDED, 3.0, 0.11, False, "conditional pass"),
+        (NON_BINARY, None, 0.69, True, "pass"),
+        (NON_BINARY, None, -0.71, False, "conditional pass"),
+        (NON_BINARY, None, -1.29, False, "conditional fail"),
+        (NON_BINARY, None, float("nan"), False, "fail"),
+    ],
+)
+def test_what_a_rule_accepts_and_states(name, band, value, accepted, statement):
+    """Limit 1, U = 0.3 (ILAC-G8:09/2019, 4.2): guard bands of U, and of other parts of it."""
+    rule = DecisionRule.of(name, band)
+    assert bool(abs(value) <= rule.acceptance_limit(1.0, 0.3)) is accepted
+    assert rule.statement(value, 1.0, 0.3) == statement
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_beyond_the_limit_u_allows_no_statement_but_a_failure(name):
+    rule = DecisionRule.of(name)
+    for value in VALUES:
+        statement = rule.statement(value, 1.0, 1.01)
+        assert statement is (Statement.FAIL if abs(value) > 2.01 else Statement.INCONCLUSIVE)
+    assert rule.acceptance_limit(1.0, 1.01) < 0.0
+    assert rule.statement(0.0, 1.0, float("nan")) is Statement.INCONCLUSIVE
+    assert np.isnan(rule.acceptance_limit(1.0, float("nan")))
+
+
+@pytest.mark.parametrize(
+    ("band", "risk"), [(3.0, 1e-6), (1.5, 0.0016), (1.0, 0.025), (0.83, 0.05), (0.0, 0.50)]
+)
+def test_risks_of_guard_bands_are_those_of_ilac_g8(band, risk):
+    """ILAC-G8:09/2019, table 1: the largest specific risk of a value accepted with w = r U, k = 2."""
+    u = 0.1
+    at = (DecisionRule.of(GUARDED, band) if band else DecisionRule()).acceptance_limit(1.0, 2 * u)
+    worst = float(probability_outside(at, u, 1.0))
+    assert 0.8 * risk < worst <= risk or band == 3.0
+    assert worst <= risk
+
+
+def test_a_rule_that_is_none_is_refused():
+    assert DecisionRule.of("simple").name == SIMPLE
+    assert DecisionRule.of("guarded", 0.83).words == "guarded (w = 0.83 U)"
+    with pytest.raises(
+        CalibrationError, match="no decision rule 'kind'; there are simple acceptance, guarded"
+    ):
+        DecisionRule.of("kind")
+    with pytest.raises(CalibrationError, match="simple acceptance takes no guard band"):
+        DecisionRule.of("simple", 0.5)
+    for band in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(CalibrationError, match=r"expected a positive number, such as 0\.83"):
+            DecisionRule.of("guarded", band)
+
+
+# --- several together -------------------------------------------------------------------------------
+
+
+def correlated(size, common):
+    """A covariance with `common` as the part that all share in different measure."""
+    slopes = np.random.default_rng(size).normal(size=(size, 3))
+    return common * slopes @ slopes.T + np.diag(np.linspace(0.5, 1.5, size))
+
+
+@pytest.mark.parametrize("dof", [np.inf, 12.0])
+@pytest.mark.parametrize(("limit", "common"), [(2.5, 0.5), (4.5, 0.3), (3.0, 0.0)])
+def test_the_probability_of_all_together_is_the_multivariate_one(limit, common, dof):
+    """Against the integral of Genz in scipy: five standard deviations of 100,000 draws, and 1e-4 of its own."""
+    covariance, value = correlated(4, common), np.array([0.3, -0.8, 1.0, 0.1])
+    high, low = limit - value, -limit - value
+    if np.isinf(dof):
+        inside = stats.multivariate_normal.cdf(high, cov=covariance, lower_limit=low, rng=1)
+    else:
+        inside = stats.multivariate_t.cdf(high, shape=covariance, df=dof, lower_limit=low, random_state=1)
+    found = probability_one_outside(value, covariance, limit, dof)
+    assert found == pytest.approx(1 - inside, abs=1e-4 + 5 * np.sqrt(inside * (1 - inside) / 1e5))
+    assert found == probability_one_outside(value, covariance, limit, dof)
+
+
+def test_what_is_common_to_all_points_counts_once():
+    one = float(probability_outside(1.0, 1.0, 3.0))
+    together = probability_one_outside(np.ones(6), np.ones((6, 6)), 3.0)
+    apart = probability_one_outside(np.ones(6), np.eye(6), 3.0)
+    assert together == pytest.approx(one, abs=5e-4)
+    assert apart == pytest.approx(1 - (1 - one) ** 6, abs=2e-3)
+
+
+def test_a_rare_risk_is_not_said_to_be_none():
+    risk = probability_one_outside(np.zeros(4), np.eye(4), 6.0)
+    one = float(probability_outside(0.0, 1.0, 6.0))
+    assert one <= risk <= 4 * one
+
+
+# --- a population -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("limit", "ratio", "guard", "accept", "reject"),
+    [(2.0, 4.0, 1.0, 0.008, 0.015), (2.5, 4.0, 1.0, 0.0025, None), (2.0, 2.0, 0.91, 0.008, 0.066)],
+)
+def test_global_risks_that_were_published(limit, ratio, guard, accept, reject):
+    """Deaver, How to Maintain Your Confidence (NCSL 1993): population of deviation 1, measured with 1/ratio."""
+    risk = global_risk(Population(0.0, 1.0), 1 / ratio, limit, guard * limit)
+    assert risk.false_accept == pytest.approx(accept, abs=1e-4)
+    assert reject is None or risk.false_reject == pytest.approx(reject, abs=5e-4)
+
+
+@pytest.mark.parametrize(("mean", "deviation", "u"), [(0.0, 1.0, 0.3), (0.8, 0.6, 0.5), (-3.0, 0.2, 0.05)])
+@pytest.mark.parametrize("accepted_up_to", [2.0, 1.4])
+def test_global_risks_are_those_of_the_bivariate_normal(mean, deviation, u, accepted_up_to):
+    """True and measured value are normal together: four rectangles of their distribution, by scipy."""
+    limit = 2.0
+    both = stats.multivariate_normal(
+        [mean, mean], [[deviation**2, deviation**2], [deviation**2, deviation**2 + u**2]]
+    )
+    conforms = stats.norm(mean, deviation).cdf(limit) - stats.norm(mean, deviation).cdf(-limit)
+    spread = stats.norm(mean, np.hypot(deviation, u))
+    accepted = spread.cdf(accepted_up_to) - spread.cdf(-accepted_up_to)
+    good = both.cdf([limit, accepted_up_to], lower_limit=[-limit, -accepted_up_to])
+    risk = global_risk(Population(mean, deviation), u, limit, accepted_up_to)
+    assert risk.false_accept == pytest.approx(accepted - good, abs=1e-6)
+    assert risk.false_reject == pytest.approx(conforms - good, abs=1e-6)
+
+
+def test_global_risks_with_few_degrees_of_freedom_by_simulation():
+    rng = np.random.default_rng(5)
+    true = rng.normal(0.2, 1.0, 400_000)
+    measured = true + 0.4 * rng.standard_t(5.0, true.size)
+    accepted = np.abs(measured) <= 1.5
+    risk = global_risk(Population(0.2, 1.0), 0.4, 2.0, 1.5, dof=5.0)
+    assert risk.false_accept == pytest.approx(np.mean(accepted & (np.abs(true) > 2.0)), abs=4e-4)
+    assert risk.false_reject == pytest.approx(np.mean(~accepted & (np.abs(true) <= 2.0)), abs=3e-3)
+
+
+def test_where_nothing_is_accepted_all_that_conforms_is_rejected():
+    risk = global_risk(Population(0.0, 1.0), 1.5, 2.0, -1.0)
+    assert risk.false_accept == 0.0
+    assert risk.false_reject == pytest.approx(stats.norm.cdf(2) - stats.norm.cdf(-2))
+
+
+@pytest.mark.parametrize("sizes", [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0)])
+def test_a_population_that_is_none_is_refused(sizes):
+    with pytest.raises(CalibrationError, match="expected two numbers, the second positive"):
+        Population(*sizes)

@@ -1,0 +1,126 @@
+"""One verdict wherever it is told: limit and rule of the bench file, or those that the command names."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.readings.csv import write_csv
+from bench.readings.table import make_readings
+from bench.report import plots
+from tests.cli.test_app import edited_stand
+from tests.support.paper_bench import U0, K, simulate, specific_force
+from tests.support.schemas import keeps_to
+
+THETA = np.radians([45.0, 135.0, 225.0, 315.0])
+
+
+@pytest.fixture
+def unit(bench):
+    """Coefficients in unit.json, and verification points in check.csv of which the second is out by 130 µg."""
+    write_csv(simulate(np.random.default_rng(2), 1e-4), Path("unit.csv"))
+    signal = specific_force(["V"] * 4, THETA, psi=np.radians(45.0)) @ K.T + U0
+    signal[1, 2] += 4e-4
+    write_csv(make_readings(["V"] * 4, [1] * 4, [1, 2, 3, 4], THETA, signal), Path("check.csv"))
+    assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
+    return ("verify", "check.csv", "--coefficients", "unit.json", "--json", "-")
+
+
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Drawing them takes ten times as long as all else."""
+    for name in ("residuals_by_angle", "residuals_in_order", "correlations", "verification_points"):
+        monkeypatch.setattr(plots, name, lambda *what: "<svg></svg>")
+
+
+def told(bench, *arguments):
+    status, out, _ = bench(*arguments)
+    result = json.loads(out)
+    keeps_to("verify", result)
+    return status, result
+
+
+def test_the_bench_file_says_how_a_verdict_is_found(bench, unit):
+    file = edited_stand(
+        **{"limit: 3e-4 g   # Δg_A": "limit: 200 ug\n  rule: guarded\n  guard_band: 0.5\n"
+           "  population: {standard_deviation: 100 ug}"}
+    )  # fmt: skip
+    status, result = told(bench, *unit, "--bench", file)
+    assert (result["rule"], result["guard_band"]) == ("guarded", 0.5)
+    assert (result["limit_g"], result["statement"]) == (pytest.approx(2e-4), "pass")
+    assert (status, result["passed"]) == (0, True)
+    assert result["global_risk"]["population"] == {"mean": 0.0, "standard_deviation": pytest.approx(1e-4)}
+    for point in result["points"]:
+        assert point["accepted_up_to"] == pytest.approx(2e-4 - 0.5 * point["U"])
+    # what the command names goes before
+    status, result = told(bench, *unit, "--bench", file, "--rule", "guarded", "--guard-band", "1")
+    assert (status, result["guard_band"], result["statement"]) == (1, 1.0, "conditional pass")
+    status, result = told(bench, *unit, "--bench", file, "--rule", "simple")
+    assert (status, result["rule"], result["statement"]) == (0, "simple acceptance", "conditional pass")
+    status, result = told(bench, *unit, "--bench", file, "--limit", "5e-5")
+    assert (status, result["statement"], result["p_false_accept"]) == (1, "inconclusive", None)
+
+
+def test_all_that_is_wrong_with_a_question_is_told_at_once(bench, unit):
+    status, _, err = bench(
+        *unit, "--limit", "-1", "--rule", "guarded", "--guard-band", "-2", "--population", "0", "0"
+    )
+    assert status == 2
+    for problem in ("--limit -1.0", "a guard band of -2 U", "the second positive"):
+        assert problem in err
+    status, _, err = bench(*unit, "--guard-band", "0.5")
+    assert (status, "simple acceptance takes no guard band" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("written", "problem"),
+    [
+        ("rule: lenient", "rule"),
+        ("guard_band: 0.5", "simple acceptance takes no guard band"),
+        ("rule: guarded\n  guard_band: 0", "guard_band"),
+        ("population: {standard_deviation: 0 g}", "state a standard deviation above zero"),
+    ],
+)
+def test_a_bench_file_with_a_rule_that_is_none(bench, unit, written, problem):
+    file = edited_stand(**{"limit: 3e-4 g   # Δg_A": f"limit: 3e-4 g\n  {written}"})
+    status, _, err = bench(*unit, "--bench", file)
+    assert status == 2
+    assert problem in err
+
+
+@pytest.mark.slow
+def test_run_verify_report_and_list_tell_one_verdict(bench, without_figures):
+    """Guarded by 3 U the run is not accepted, and says so everywhere; a what-if stays aside."""
+    file = edited_stand(**{"limit: 3e-4 g   # Δg_A": "limit: 3e-4 g\n  rule: guarded\n  guard_band: 3"})
+    run = ("run", "quick", "--dry-run", "--bench", file, "--name", "one", "--seed", "3")
+    status, out, _ = bench(*run)
+    own = json.loads(Path("runs/one/verify.json").read_text(encoding="utf-8"))
+    assert (status, own["passed"], own["statement"]) == (1, False, "conditional pass")
+    assert "runs/one: CONDITIONAL PASS, not accepted: worst" in out
+    assert "rule: guarded (w = 3 U)" in out
+    assert "note: 4 of 4 verification points within the limit by less than the guard band" in out
+    assert told(bench, "verify", "one", "--json", "-") == (1, own)
+    assert not Path("runs/one/what-if").exists()
+    status, out, _ = bench("report", "one", "--json", "-")
+    assert (status, json.loads(out)["verification"]) == (1, own)
+    page = Path("runs/one/report.html").read_text(encoding="utf-8")
+    assert "Verification: conditional pass, not accepted" in page
+    assert "CONDITIONAL PASS" in bench("runs")[1]
+    # by another rule it is a what-if, and the run's own stays
+    status, out, _ = bench("report", "one", "--rule", "simple", "--json", "-")
+    assert (status, json.loads(out)["verification"]["passed"]) == (0, True)
+    assert json.loads(out)["report"] == "runs/one/what-if/report.html"
+    assert Path("runs/one/report.html").read_text(encoding="utf-8") == page
+    assert bench("verify", "one", "--rule", "simple")[0] == 0
+    assert json.loads(Path("runs/one/verify.json").read_text(encoding="utf-8")) == own
+
+
+@pytest.mark.slow
+def test_a_budget_asks_by_the_rule_of_its_bench(bench):
+    file = edited_stand(**{"limit: 3e-4 g   # Δg_A": "limit: 1 mg\n  rule: guarded\n  guard_band: 0.83"})
+    status, out, _ = bench("budget", "--bench", file, "--trials", "0", "--json", "-")
+    check = json.loads(out)["verification"]
+    assert (status, check["rule"], check["guard_band"]) == (0, "guarded", 0.83)
+    for point in check["points"]:
+        assert point["accepted_up_to"] == pytest.approx(1e-3 - 0.83 * point["U"])
