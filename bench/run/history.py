@@ -56,8 +56,8 @@ class History:
 
     `head` is the SHA-256 of the last whole line, which stands for all before it, `length` the bytes up to there.
     `taken` are readings and the marks of a mounting in the middle of a run, in the order of measurement, without
-    their samples; `identities` those of the instruments when the run was begun. What follows on a line that cannot
-    be believed is left out of everything.
+    their samples; `identities` those of the instruments when the run was begun, `serials` their serial numbers
+    where the bench has certificates. What follows on a line that cannot be believed is left out of everything.
     """
 
     events: Events
@@ -69,6 +69,7 @@ class History:
     progress: Progress
     taken: tuple[tuple[int, Reading] | None, ...]
     identities: dict[str, str]
+    serials: dict[str, str]
 
     @property
     def readings(self) -> dict[int, Reading]:
@@ -110,6 +111,7 @@ class _Reader:
         self._progress = Progress()
         self._taken: list[tuple[int, Reading] | None] = []
         self._identities: dict[str, str] | None = None
+        self._serials: dict[str, str] = {}
 
     def read(self, file: BinaryIO) -> list[str]:
         """Take the lines; return what is wrong with the first that cannot be believed."""
@@ -149,6 +151,7 @@ class _Reader:
             self._taken.append(None)
         elif event.type in _OPENED and self._identities is None:
             self._identities = dict(self._progress.identities)
+            self._serials = {str(name): str(serial) for name, serial in event.data.get("serials", {}).items()}
 
     def history(self, path: Path, problems: list[str]) -> History:
         """Return what was taken."""
@@ -162,6 +165,7 @@ class _Reader:
             progress=self._progress,
             taken=tuple(self._taken),
             identities=self._identities or {},
+            serials=self._serials,
         )
 
 

@@ -103,6 +103,8 @@ def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(benc
         (("finished", "finished"), "two sources would write"),
         (("broken.json",), "broken.json: not a result of 'bench calibrate --json'"),
         (("odd.json",), "odd.json: the covariance is not symmetric"),
+        (("flat.json",), "flat.json: its K has no inverse"),
+        (("huge.json",), "huge.json: holds numbers beyond 1e+12"),
     ],
 )
 def test_mistakes_are_one_line_each(finished, arguments, told):
@@ -112,6 +114,10 @@ def test_mistakes_are_one_line_each(finished, arguments, told):
     one = one[0] if isinstance(one, list) else one
     one["covariance_readings"] = np.triu(np.array(one["covariance"])).tolist()
     Path("odd.json").write_text(json.dumps(one), encoding="utf-8")
+    for name, value in (("flat.json", 0.0), ("huge.json", 1e300)):
+        one = json.loads((RECORDS / "calibrate.json").read_text(encoding="utf-8"))
+        one["coefficients"]["Kyy"]["value"] = value
+        Path(name).write_text(json.dumps(one), encoding="utf-8")
     status, _, err = finished("coefficients", *arguments)
     assert status == 2
     assert told in err
