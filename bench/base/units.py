@@ -122,6 +122,12 @@ def parse_quantity(text: object, kind: QuantityKind) -> float:
     if not isinstance(text, str):
         got = {dict: "a mapping", list: "a list", type(None): "nothing"}.get(type(text), repr(text))
         raise ValueError(f"{kind.expected}, got {got}")
+    return _parsed(text, kind)
+
+
+@lru_cache(maxsize=4096)
+def _parsed(text: str, kind: QuantityKind) -> float:
+    """Return the value of a text; a long procedure has the same few again and again."""
     match = _QUANTITY.fullmatch(text.replace("−", "-"))
     if match is None:
         raise ValueError(f"{kind.expected}, got '{text}'")

@@ -190,9 +190,11 @@ class Event:
         }
 
     @classmethod
-    def from_json(cls, line: Mapping[str, Any]) -> Event:
-        """Return a recorded event. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
-        data = dict(line)
+    def from_json(cls, data: dict[str, Any]) -> Event:
+        """Return a recorded event, which keeps `data`.
+
+        Raises `KeyError`, `TypeError`, `ValueError` for what is none.
+        """
         number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
         if type(number) is not int or type(time) is not str or type(kind) is not str:
             raise ValueError("its number, time or type is none")

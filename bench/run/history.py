@@ -6,14 +6,15 @@ is kept than what going on with the run and evaluating it need.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256 as digest_of
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, Final, NoReturn, overload
+from typing import BinaryIO, Final, overload
 
+from bench.base.collecting import uncollected
+from bench.base.json_text import read_json
 from bench.readings.reading import Reading
 from bench.run.events import Event, EventType
 from bench.run.manifest import EVENTS, MANIFEST, RecordError, changed_inputs, sha256
@@ -82,6 +83,7 @@ class History:
         return by_step
 
 
+@uncollected()
 def read_history(folder: Path) -> History:
     """Read the events of a run and check the chain of hashes and the inputs' hashes. Raises `RecordError`."""
     problems = changed_inputs(folder)
@@ -176,15 +178,8 @@ def parse_line(line: bytes) -> tuple[Event, str]:
     Raises `ValueError` for what is no event, and for one that no bench writes.
     """
     try:
-        data = _DECODER.decode(line.decode())
+        data = read_json(line)
         previous = data.pop("prev")
         return Event.from_json(data), str(previous)
     except (KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise ValueError(str(error)) from error
-
-
-def _no_number(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
-
-
-_DECODER: Final = json.JSONDecoder(parse_constant=_no_number)
