@@ -132,7 +132,7 @@ def result() -> dict[str, Any]:
 
 
 def json_case(rng: random.Random) -> Case:
-    """A result of another day: to be verified with, to be compared."""
+    """A result of another day: to be verified with, to be compared, to be written in other forms."""
     tree, refuse = copy.deepcopy(result()), ""
     i, j = rng.sample(range(12), 2)
     c = tree["covariance"]
@@ -188,6 +188,7 @@ def json_case(rng: random.Random) -> Case:
     commands = [
         ["verify", "r.csv", "--coefficients", "c.json", "--json", "-"],
         ["compare", "c.json", "d.json", "--json", "-"],
+        ["coefficients", "c.json", "--as", "all", "--json", "-"],
     ]
     return Case([rng.choice(commands)], files, refuse=refuse)
 

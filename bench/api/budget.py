@@ -29,6 +29,7 @@ from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import Block, ForwardModel
 from bench.procedure.load import load_procedure
+from drivers.clock import utc_now
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def budget(
     question = Question(
         file.unit_under_test.range, judgement.limit_g, judgement.rule, trials, same_voltmeters
     )
-    found = assess(setup, bench_sources(file, setup), estimator, question)
+    found = assess(setup, bench_sources(file, setup, utc_now().date()), estimator, question)
     head = {
         "bench": file.name,
         "bench_file": taken.to_dict(),

@@ -97,6 +97,7 @@ class CalibrationResult:
             "made_at": source.made_at,
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
+            "corrections": source.traced.to_json(),
             **({} if source.run is None else {"record": record_head(source.run)}),
             "notes": [*self.doubts, *self.calibration.notes, *source.readings.notes],
             "skipped_rows": list(source.readings.skipped),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,9 +16,14 @@ from bench.base.form_mistakes import shortened
 from bench.base.whole import from_text
 from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS, Block
+from bench.readings.table import UNITS
 
 DEFAULT_K: Final = 2.0
 """Coverage factor where a result states none."""
+
+LARGEST: Final = 1e12
+WORST: Final = 1e9
+"""Coefficients as large as that, or so far apart, are of no block: a calibration refuses them by itself."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
 """By how much a correlation of a million readings may be off by rounding."""
@@ -88,6 +93,10 @@ def block_result(data: Any, where: str) -> BlockResult:
     Raises `Refused` that names `where` when it is not one.
     """
     taken = coefficients_of(data, where)
+    if taken.unit not in UNITS.values():
+        known = ", ".join(UNITS.values())
+        raise Refused(f"{where}: signals in {shortened(repr(taken.unit))}; a block gives one of {known}")
+    _refuse_without_inverse(taken.block, taken.covariance, where)
     unit = data.get("unit_under_test")
     block = unit if isinstance(unit, Mapping) else {}
     bench = data.get("bench")
@@ -111,7 +120,17 @@ def block_result(data: Any, where: str) -> BlockResult:
         expanded={name: size for name, size in expanded.items() if size},
         covariance_readings=_further_covariance(data, "covariance_readings", where),
         gravity_u=_positive(data.get("gravity_u")),
+        certificates=tuple(_certificates(data.get("corrections"))),
     )
+
+
+def _certificates(corrections: Any) -> Iterator[str]:
+    """Yield each certificate that a result names, in words."""
+    for one in corrections if isinstance(corrections, list) else ():
+        if isinstance(one, Mapping) and _text(one.get("certificate")):
+            expired = ", EXPIRED" if one.get("expired") is True else ""
+            of = f"{_text(one.get('laboratory'))}, {_text(one.get('date'))}{expired}"
+            yield f"{_text(one.get('instrument'))} {one['certificate']} ({of})"
 
 
 def _text(value: object) -> str:
@@ -120,7 +139,22 @@ def _text(value: object) -> str:
 
 def _positive(value: object) -> float:
     """Return a number that a result states, 0 where it states none."""
-    return float(value) if isinstance(value, int | float) and np.isfinite(value) and value > 0 else 0.0
+    try:
+        return max(_number(value), 0.0)
+    except ValueError:
+        return 0.0
+
+
+def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> None:
+    """Refuse a K that has no inverse, or one of numbers that no calibration gives. Raises `Refused`."""
+    largest = float(np.max(np.abs(block.vector)))
+    if not largest < LARGEST or np.max(covariance) > LARGEST**2:
+        raise Refused(f"{where}: holds numbers beyond {LARGEST:g}; take the file as calibrate wrote it")
+    scale = float(np.min(np.abs(np.diag(block.K))))
+    if scale <= largest / WORST or np.linalg.cond(block.K) > WORST:
+        raise Refused(
+            f"{where}: its K has no inverse that could be used; take the file as calibrate wrote it"
+        )
 
 
 def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
@@ -181,7 +215,8 @@ def impossible(covariance: Floats) -> str:
         return "the covariance has a negative variance"
     u = np.sqrt(variance)
     scale = np.where(u > 0, u, 1.0)
-    r = covariance / scale / scale[:, None]
+    with np.errstate(over="ignore"):  # what is beyond all floats is found below
+        r = covariance / scale / scale[:, None]
     if np.any(np.abs(r - r.T) > 2 * ROUNDING):
         return "the covariance is not symmetric"
     if np.any(np.abs(r) > np.where(np.outer(u, u) > 0, 1 + ROUNDING, 0.0)):

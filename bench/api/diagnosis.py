@@ -81,7 +81,7 @@ class DiagnosisResult:
 
 def body_of(sources: list[Source]) -> Body:
     """Return the sources as one body of data. Raises `Refused` where they are not of one bench."""
-    hashes = tuple(data_sha256(source.readings) for source in sources)
+    hashes = tuple(data_sha256(source.as_read) for source in sources)
     first = sources[0]
     if len(sources) == 1:
         return Body(first, hashes)
@@ -94,7 +94,11 @@ def body_of(sources: list[Source]) -> Body:
     # a model that was found in any of the sources has seen a part of the whole
     model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
     name = " + ".join(source.name for source in sources)
-    return Body(replace(first, readings=readings, model=model, name=name), hashes, "diagnose-together")
+    entries = tuple(entry for source in sources for entry in source.traced.entries)
+    whole = replace(
+        first, readings=readings, model=model, name=name, traced=replace(first.traced, entries=entries)
+    )
+    return Body(whole, hashes, "diagnose-together")
 
 
 def _require_same_bench(first: Source, other: Source) -> None:
@@ -145,9 +149,9 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
             known=known,
         )
     except TooLittleLeft as found:
-        found.bench = taken
+        found.bench, found.corrections = taken, source.traced.to_json()
         raise
-    return replace(full, bench=taken)
+    return replace(full, bench=taken, corrections=source.traced.to_json())
 
 
 def diagnosis_page(source: Source, full: FullDiagnosis) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -18,6 +18,7 @@ from rich.console import Console
 from bench.api.errors import Refused
 from bench.api.provenance import versions
 from bench.api.taken import bench_path, why_taken
+from bench.api.traceability import remarks
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -263,6 +264,7 @@ def carry_out(
                 clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
+                certificates=_on_certificates(bench, simulated=run.simulated),
             ).run(resume)
         _refuse_renamed(record)
     except RunAborted as why:
@@ -275,6 +277,18 @@ def carry_out(
         raise Refused(f"{with_notes(error)}; {_kept(record)}") from error
     finally:
         record.close()
+
+
+def _on_certificates(
+    bench: BenchFile, *, simulated: bool
+) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
+    """Return what says of serial numbers what is to be told of the certificates; None where none is stated.
+
+    The serial numbers of simulated instruments are nobody's.
+    """
+    if all(section.certificate is None for section in bench.instruments.all()):
+        return None
+    return lambda serials: remarks(bench, None if simulated else serials)
 
 
 def _slow_chamber_s(bench: BenchFile) -> float:

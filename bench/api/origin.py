@@ -55,7 +55,10 @@ class BenchOrigin(_Part):
 
 
 class Origin(_Part):
-    """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well."""
+    """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well.
+
+    `serials` are the serial numbers that the instruments stated, kept where the bench has certificates.
+    """
 
     simulated: bool
     run: _Text
@@ -67,10 +70,11 @@ class Origin(_Part):
     bench: BenchOrigin
     instruments: dict[_Text, _Text]
     measured_with: dict[_Text, _Text]
+    serials: dict[_Text, _Text] = {}
 
     def text_beside(self, readings: Path, content: bytes) -> str:
         """Return the text of the file that stands beside a readings file of this content."""
-        own = self.model_dump(mode="json", exclude={"sha256"})
+        own = self.model_dump(mode="json", exclude={"sha256"} if self.serials else {"sha256", "serials"})
         try:
             here = os.path.relpath(self.bench.copied_to, readings.absolute().parent)
         except ValueError:  # on another drive
@@ -123,6 +127,7 @@ def origin_of_run(run: Run) -> Told:
                 sha256=sha256(copied_to.read_bytes()),
             ),
             instruments={name: _shown(identity) for name, identity in run.history.identities.items()},
+            serials={name: _shown(serial) for name, serial in run.history.serials.items()},
             measured_with={name: _shown(v) for name, v in manifest.get("versions", {}).items()},
         )
     )

@@ -12,6 +12,7 @@ from bench.analysis.planning.remedies import Outlook, outlook
 from bench.analysis.planning.settings import Cost, settings_of
 from bench.api.errors import Refused
 from bench.api.taken import bench_path
+from bench.api.traceability import remarks
 from bench.base.forms import FileMistakes
 from bench.devices.wires import is_serial
 from bench.files.bench.file import BenchFile, load_bench
@@ -139,7 +140,8 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
 
 
 def _hints(bench: BenchFile) -> Iterator[str]:
-    """Say what is no mistake on a simulated bench, and likely one on a real one."""
+    """Say what is no mistake on a simulated bench, and likely one on a real one; and what certificates lack."""
+    yield from remarks(bench)
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
             yield (

@@ -32,6 +32,7 @@ def provenance(source: Source) -> dict[str, str]:
         "unit under test": source.block_name or "not stated",
         "bench": f"{source.taken.words} (SHA-256 {source.taken.sha256})",
         "model": source.model.name,
+        **source.traced.stated(),
     }
     if run is not None:
         stated["run"] = run.name

@@ -29,6 +29,7 @@ from bench.files.shipped import find_procedure
 from bench.model.block import COEFFICIENTS
 from bench.procedure.load import load_procedure
 from bench.procedure.plan import Plan
+from drivers.clock import utc_now
 
 PROCEDURES: Final = (
     "quick",
@@ -142,7 +143,7 @@ def requirements(
     setup = make_setup(plan, file)
     target, unit, kind = _target(of, up_to, file, reading=reading)
     limit = quantity("--accuracy", accuracy, kind)
-    every = bench_sources(file, setup)
+    every = bench_sources(file, setup, utc_now().date())
     sources = every if every_source else tuple(s for s in every if s.group == "stand")
     asked = Requirement(setup, sources, estimator, target, limit, k)
     names = [s.name for s in sources if s.u > 0]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from bench.api.errors import Refused
 from bench.api.origin import Origin, Told, origin_beside, origin_of_run
 from bench.api.taken import BenchTaken, bench_of, recorded_sha256
+from bench.api.traceability import Traced, trace
 from bench.files.bench.file import BenchFile
 from bench.files.model import ModelFile, load_model
 from bench.model import ForwardModel
@@ -53,7 +54,8 @@ class Source:
     """One run, readings file or table, read, with its bench. `run` is None for all but a run.
 
     `taken` says which bench file it is, and why that one; `bench` is that of the unit whose readings these are.
-    `origin` is where they come from, None where nobody says it.
+    `origin` is where they come from, None where nobody says it. The readings are corrected as the certificates of
+    the instruments say, of which `traced` tells; `as_read` are those that were read.
     """
 
     name: str
@@ -65,6 +67,8 @@ class Source:
     run: Run | None
     origin: Origin | None
     request: Request
+    as_read: Readings
+    traced: Traced
 
     @property
     def simulated(self) -> bool:
@@ -159,9 +163,11 @@ def _load(given: Given, request: Request) -> Source:
         file = load_model(request.model, model.installations)
         model, of_model = _of_model_file(file, readings, model)
         notes += of_model
-    readings = replace(readings, notes=(*notes, *readings.notes))
+    as_read = readings
+    bench, readings, traced = trace(taken, bench, readings, told.origin)
+    readings = replace(readings, notes=(*notes, *traced.notes(), *readings.notes))
     name = given if isinstance(given, str) else readings.source
-    return Source(name, readings, bench, taken, model, gravity, run, told.origin, request)
+    return Source(name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced)
 
 
 def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[str, ...]]:

@@ -159,6 +159,7 @@ class VerificationResult:
             **self.verification.to_json(),
             "notes": list(advice(self.verification)),
             "bench": self.source.taken.to_dict(),
+            "corrections": self.source.traced.to_json(),
         }
 
     def table(self) -> Table:

@@ -75,6 +75,8 @@ def explained(
 
 def unknown_word(word: str, known: list[str], what: str) -> str:
     """Return the sentence for a word that is not known, with the nearest one that is."""
+    if word in known:
+        return f"'{word}' does not go with the other keys here; leave it or those out"
     near = _nearest(word, known)
     hint = f"did you mean '{near}'? " if near else ""
     return f"unknown {what} '{shortened(word)}'; {hint}known: {', '.join(known)}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -18,13 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from bench.base.form_mistakes import MOST_TOLD, Place, explained
 from bench.base.regular import MEGABYTE, read_regular
-from bench.base.yaml_nodes import Loader, TooDeep
-
-_PLAIN_TAGS: Final = frozenset(
-    f"tag:yaml.org,2002:{name}"
-    for name in ("str", "int", "float", "bool", "null", "timestamp", "seq", "map", "merge", "value")
-)
-_NULL: Final = "tag:yaml.org,2002:null"
+from bench.base.yaml_text import TooDeep, read_yaml, read_yaml_with_lines
 
 _SHORT: Final = 100_000
 """Characters of a text that is read a second time for a better sentence about what is wrong with it."""
@@ -77,13 +72,18 @@ class FileModel(BaseModel):
 
 @dataclass
 class Document:
-    """A file's content: mappings, lists and texts (None for nothing), with the line of every place."""
+    """A file's content: mappings, lists and texts (None for nothing), and the `text` that says so."""
 
     path: Path
     data: Any
     sha256: str
-    lines: dict[Place, int] = field(default_factory=dict)
+    text: str
     mistakes: list[FileMistake] = field(default_factory=list)
+
+    @cached_property
+    def lines(self) -> dict[Place, int]:
+        """The line of every place; the text is read again for it, since most files have no mistake to tell."""
+        return read_yaml_with_lines(self.text).lines
 
     def line_of(self, place: Place) -> int:
         """Return the line of a place, or of the nearest place around it that was written."""
@@ -124,14 +124,13 @@ def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
         line = content.count(b"\n", 0, error.start) + 1
         raise _unusable(path, "the file is not UTF-8 text; save it as UTF-8 and try again", line) from None
     try:
-        node = yaml.compose(text, Loader=Loader)
+        written = read_yaml(text)
     except yaml.YAMLError as error:
         raise _not_yaml(path, text, error) from None
-    if node is None or node.tag == _NULL:
+    if written.data is None:
         raise _unusable(path, "the file is empty; 'bench init' writes files to start from")
-    document = Document(path, None, hashlib.sha256(content).hexdigest(), {(): node.start_mark.line + 1})
-    document.data = _plain(node, (), document, set())
-    return document
+    mistakes = [FileMistake(line, dotted(place), told) for line, place, told in written.slips]
+    return Document(path, written.data, hashlib.sha256(content).hexdigest(), text, mistakes)
 
 
 def _content(path: Path, most_bytes: int) -> bytes:
@@ -176,49 +175,6 @@ def _hinted(problem: str) -> str:
     if "expected <block end>" in problem:
         return f"{problem}; check the indentation of this line"
     return problem
-
-
-def _plain(node: yaml.Node, place: Place, document: Document, seen: set[int]) -> Any:
-    """Turn a node into mappings, lists and texts, noting the line of every place below it."""
-
-    def note(problem: str) -> None:
-        document.mistakes.append(FileMistake(node.start_mark.line + 1, dotted(place), problem))
-
-    if id(node) in seen:
-        note("anchors and aliases (& and *) are not understood here; write the value out")
-        return None
-    seen.add(id(node))
-    if node.tag not in _PLAIN_TAGS:
-        note(f"the tag {node.tag!r} is not understood; leave it out")
-    if isinstance(node, yaml.MappingNode):
-        return _plain_mapping(node, place, document, seen)
-    if isinstance(node, yaml.SequenceNode):
-        items = []
-        for index, item in enumerate(node.value):
-            document.lines[(*place, index)] = item.start_mark.line + 1
-            items.append(_plain(item, (*place, index), document, seen))
-        return items
-    return None if node.tag == _NULL else node.value
-
-
-def _plain_mapping(
-    node: yaml.MappingNode, place: Place, document: Document, seen: set[int]
-) -> dict[str, Any]:
-    mapping: dict[str, Any] = {}
-    for key, value in node.value:
-        line = key.start_mark.line + 1
-        if not isinstance(key, yaml.ScalarNode):
-            document.mistakes.append(FileMistake(line, dotted(place), "a key must be a plain word"))
-            continue
-        inside = (*place, key.value)
-        if key.value in mapping:
-            first = document.lines[inside]
-            text = f"'{key.value}' stands here a second time, first in line {first}; leave one out"
-            document.mistakes.append(FileMistake(line, dotted(place), text))
-            continue
-        document.lines[inside] = line
-        mapping[key.value] = _plain(value, inside, document, seen)
-    return mapping
 
 
 # --- validating -------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ _DEFINITIONS: Final = (
     "minute = 60 second = min",
     "hour = 3600 second = h",
     "day = 86400 second = d",
+    "year = 365.25 day",
     "hertz = 1 / second = Hz",
     "volt = [voltage] = V",
     "radian = [angle] = rad",
@@ -43,7 +44,7 @@ _DEFINITIONS: Final = (
 """Only what a bench needs: a short list refuses slips (kg, mT) that a general one would take."""
 
 _UNITS: Final = ("V", "mV", "uV", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s", "ms", "min",
-                 "h", "d", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm", "percent")  # fmt: skip
+                 "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm", "percent")  # fmt: skip
 
 _QUANTITY: Final = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*?)\s*")
 _UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?\d)?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?\d)?)*")
@@ -75,6 +76,7 @@ ANGLE: Final = QuantityKind("an angle", "90 arcsec", "rad")
 VOLTAGE: Final = QuantityKind("a voltage", "0.3 mV", "V")
 DURATION: Final = QuantityKind("a duration", "30 s", "s")
 TEMPERATURE: Final = QuantityKind("a temperature", "23 degC", "degC", only=("degC",))
+DIFFERENCE: Final = QuantityKind("a difference of temperatures", "2 K", "K", only=("K", "mK"))
 SCALE_FACTOR: Final = QuantityKind("a scale factor with its sign", "-2.18 V/g", "V/g")
 ACCELERATION: Final = QuantityKind("an acceleration in local gravity", "3e-4 g", "g")
 GRAVITY: Final = QuantityKind("an acceleration", "9.81 m/s^2", "m/s^2")
@@ -120,6 +122,12 @@ def parse_quantity(text: object, kind: QuantityKind) -> float:
     if not isinstance(text, str):
         got = {dict: "a mapping", list: "a list", type(None): "nothing"}.get(type(text), repr(text))
         raise ValueError(f"{kind.expected}, got {got}")
+    return _parsed(text, kind)
+
+
+@lru_cache(maxsize=4096)
+def _parsed(text: str, kind: QuantityKind) -> float:
+    """Return the value of a text; a long procedure has the same few again and again."""
     match = _QUANTITY.fullmatch(text.replace("−", "-"))
     if match is None:
         raise ValueError(f"{kind.expected}, got '{text}'")
@@ -148,7 +156,8 @@ def _factor_of(unit: str, kind: QuantityKind, text: str) -> float | None:
         raise ValueError(f"{kind.expected}, got '{text}' ({error})") from None
 
 
-def _reads(kind: QuantityKind) -> BeforeValidator:
+def reads(kind: QuantityKind) -> BeforeValidator:
+    """Return the validator of a quantity: `Annotated[float, reads(VOLTAGE)]`."""
     return BeforeValidator(lambda text: parse_quantity(text, kind))
 
 
@@ -164,15 +173,15 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
     return BeforeValidator(read)
 
 
-AngleRad = Annotated[float, _reads(ANGLE)]
-VoltageV = Annotated[float, _reads(VOLTAGE)]
-DurationS = Annotated[float, _reads(DURATION)]
-TemperatureC = Annotated[float, _reads(TEMPERATURE)]
-ScaleFactor = Annotated[float, _reads(SCALE_FACTOR)]
-AccelerationG = Annotated[float, _reads(ACCELERATION)]
-AccelerationMS2 = Annotated[float, _reads(GRAVITY)]
-LengthM = Annotated[float, _reads(LENGTH)]
-FrequencyHz = Annotated[float, _reads(FREQUENCY)]
-Ratio = Annotated[float, _reads(RATIO)]
+AngleRad = Annotated[float, reads(ANGLE)]
+VoltageV = Annotated[float, reads(VOLTAGE)]
+DurationS = Annotated[float, reads(DURATION)]
+TemperatureC = Annotated[float, reads(TEMPERATURE)]
+ScaleFactor = Annotated[float, reads(SCALE_FACTOR)]
+AccelerationG = Annotated[float, reads(ACCELERATION)]
+AccelerationMS2 = Annotated[float, reads(GRAVITY)]
+LengthM = Annotated[float, reads(LENGTH)]
+FrequencyHz = Annotated[float, reads(FREQUENCY)]
+Ratio = Annotated[float, reads(RATIO)]
 SizeRad = Annotated[float, not_negative(ANGLE)]
 SpanS = Annotated[float, not_negative(DURATION)]

@@ -86,6 +86,7 @@ def compensate(
         "verification": [{"temperature_c": t, **check.to_json()} for t, check in checks],
         "sources": names,
         "bench": first.taken.to_dict(),
+        "corrections": [one for source in loaded for one in source.traced.to_json()],
         "simulated": any(source.simulated for source in loaded),
     }
     files = _write(first, model, table, result)

@@ -26,7 +26,7 @@ def export(
     from bench.readings.csv import format_csv
 
     (source,) = load_sources(Request([run], runs))
-    text = format_csv(source.readings)
+    text = format_csv(source.as_read)
     if csv == "-":
         sys.stdout.write(text)
     else:

@@ -73,6 +73,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     """
     from bench.api.instruments import look_at
     from bench.api.taken import bench_path
+    from bench.api.traceability import remarks
     from bench.files.bench.file import load_bench
     from bench.run.signals import Interrupts
     from drivers.wire.log import logged_wire
@@ -89,6 +90,8 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     printing.write_json([result], target)
     if target != "-":
         _show(rows)
+        serials = {row.name: row.identity.serial for row in rows if row.identity is not None}
+        printing.notes_on(printing.console(), remarks(file, serials))
     printing.aside(*(f"bench: {failure}" for failure in failures))
     if any(row.absent for row in rows):
         return 2

@@ -7,11 +7,11 @@ from typing import Annotated, Any, ClassVar, Final
 from pydantic import field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import QuantityKind, SpanS, TemperatureC, not_negative
+from bench.base.units import DIFFERENCE, QuantityKind, SpanS, TemperatureC, not_negative
+from bench.devices.certificates import ChamberCertificate
 from bench.devices.device import DeviceSection, Role
 from bench.devices.wires import WiredForm
 
-DIFFERENCE: Final = QuantityKind("a difference of temperatures", "2 K", "K", only=("K", "mK"))
 TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
 
 SizeK = Annotated[float, not_negative(DIFFERENCE)]
@@ -61,11 +61,15 @@ class TemperatureRange(FileModel):
 
 
 class ChamberForm(TemperatureRange, DeviceSection):
-    """What every chamber is told: the temperatures that may be demanded."""
+    """What every chamber is told: the temperatures that may be demanded.
+
+    `certificate` is that of the thermometer by which the temperature is told.
+    """
 
     role: ClassVar[Role] = "chamber"
 
     name: str = "chamber"
+    certificate: ChamberCertificate | None = None
 
 
 class ControlledChamberForm(ChamberForm, WiredForm):

@@ -9,6 +9,7 @@ from pydantic import field_validator, model_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import AngleRad, QuantityKind, SizeRad, SpanS, not_negative
+from bench.devices.certificates import HeadCertificate
 from bench.devices.device import DeviceSection, Role
 from bench.devices.wires import WiredForm
 
@@ -31,6 +32,7 @@ class HeadForm(DeviceSection):
 
     name: str = "head"
     tolerance: SizeRad
+    certificate: HeadCertificate | None = None
 
 
 class MotorisedHeadForm(HeadForm, WiredForm):

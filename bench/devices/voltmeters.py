@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import DurationS, VoltageV
+from bench.devices.certificates import VoltmeterCertificate, of_known_ranges
 from bench.devices.device import Role
 from bench.devices.wires import BusPlace, WiredForm, bus_place, meter_resource, usual_baud_rate
 from drivers.interfaces import Channel, VoltmeterLimits
@@ -20,6 +21,9 @@ VOLTMETER_FACTS: Final = (
 )  # fmt: skip
 """What the facts of a voltmeter must say (see those of a 34401A); with a serial port `BAUD_RATES`, too."""
 
+DAYS_90: Final = 90.0 / 365.25
+"""The time of the shorter limits of error, years."""
+
 
 @dataclass(frozen=True)
 class VoltmeterKind:
@@ -27,7 +31,8 @@ class VoltmeterKind:
 
     `over_range` is the part of a range up to which it reads. `accuracy` gives for each range the limits of error
     of DC volts within 90 days at 23 ± 5 °C, parts of the reading and of the range; `linearity` the limits of its
-    converter's integral nonlinearity alike; `resolution`, where it is known, from an integration (NPLC) on the
+    converter's integral nonlinearity alike; `accuracy_of_year` what `accuracy` is within a year, of the ranges for
+    which that is known; `resolution`, where it is known, from an integration (NPLC) on the
     part of the range to which it resolves.
     """
 
@@ -36,6 +41,7 @@ class VoltmeterKind:
     accuracy: Mapping[float, tuple[float, float]]
     linearity: tuple[float, float]
     resolution: Mapping[float, float] = field(default_factory=dict)
+    accuracy_of_year: Mapping[float, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, facts: ModuleType) -> VoltmeterKind:
@@ -46,14 +52,33 @@ class VoltmeterKind:
             facts.ACCURACY_90_DAYS,
             facts.LINEARITY,
             getattr(facts, "RESOLUTION", {}),
+            getattr(facts, "ACCURACY_1_YEAR", {}),
         )
+
+    def limits_after(self, years: float, range_v: float) -> tuple[float, float]:
+        """Return the limits of error on a range some time after its calibration, parts of reading and of range.
+
+        Those of 90 days, then those of a year; where none are known, and after a year, they grow with the time.
+        """
+        of_90_days = self.accuracy[range_v]
+        if years <= DAYS_90:
+            return of_90_days
+        known = self.accuracy_of_year.get(range_v)
+        limits, since = (of_90_days, DAYS_90) if known is None else (known, 1.0)
+        times = max(1.0, years / since)
+        return limits[0] * times, limits[1] * times
+
+
+CERTIFICATE: Final = "certificate"
+"""The word for simulated voltmeters that have the errors of their certificates."""
 
 
 class VoltmeterTruth(FileModel):
-    """The simulated voltmeters: with noise or not, with errors within the maker's limits or none."""
+    """The simulated voltmeters: with noise or not; without errors, with some within the maker's limits of 90 days,
+    or with those that their certificates state."""
 
     noise: bool = True
-    accuracy: Literal["90 days"] | None = None
+    accuracy: Literal["90 days", "certificate"] | None = None
 
 
 class SerialSection(FileModel):
@@ -85,6 +110,7 @@ class VoltmeterForm(WiredForm):
     timeout: DurationS = 5.0
     range: VoltageV = 10.0
     interface: Literal["lan", "gpib", "rs232"] = "lan"
+    certificate: VoltmeterCertificate | None = None
 
     if TYPE_CHECKING:
 
@@ -121,9 +147,19 @@ class VoltmeterForm(WiredForm):
             raise ValueError(f"the {info.data.get('driver')} has the ranges {listed}, not {range_v:g} V")
         return range_v
 
+    @field_validator("certificate")
+    @classmethod
+    def _of_its_ranges(cls, certificate: VoltmeterCertificate | None) -> VoltmeterCertificate | None:
+        if certificate is not None:
+            of_known_ranges(certificate, cls.facts.RANGES_V)
+        return certificate
+
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
         """Return what every simulated voltmeter is given."""
-        return {"interface": self.interface, "noise": truth.noise, "accuracy": truth.accuracy}
+        accuracy: str | dict[float, tuple[float, float]] | None = truth.accuracy
+        if truth.accuracy == CERTIFICATE:
+            accuracy = {} if self.certificate is None else self.certificate.errors()
+        return {"interface": self.interface, "noise": truth.noise, "accuracy": accuracy}
 
 
 class OneChannelForm(VoltmeterForm):

@@ -274,8 +274,9 @@ class StepEntry(FileModel):
 
     @model_validator(mode="after")
     def _one_verb(self) -> StepEntry:
-        given = [verb for verb in VERBS if getattr(self, verb) is not None]
+        given = [verb for verb in self.model_fields_set if getattr(self, verb) is not None]
         if len(given) != 1:
+            given.sort(key=VERBS.index)
             got = f", not {' and '.join(given)} together" if given else ", and this one has none"
             raise ValueError(f"a step has one of the verbs {', '.join(VERBS)}{got}")
         return self

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.collecting import uncollected
 from bench.base.form_mistakes import Place
 from bench.base.forms import Document, FileMistake, FileMistakes, load_document, part, validated
 from bench.base.regular import MEGABYTE
@@ -47,6 +48,7 @@ class Procedure:
         return self.plan
 
 
+@uncollected()
 def load_procedure(path: Path) -> Procedure:
     """Read and check a procedure. Raises `FileMistakes` with every mistake in it and in what it includes."""
     try:
@@ -167,8 +169,8 @@ class _Tree:
                     self._checked.add((key, inner.within))
                     included = self.documents[key]
                     self._check_scopes(included, part(included.data, "steps"), ("steps",), inner)
-            else:
-                self._check_scopes(document, part(body, "steps"), (*entry, verb, "steps"), inner)
+            elif steps_inside := part(body, "steps"):
+                self._check_scopes(document, steps_inside, (*entry, verb, "steps"), inner)
 
 
 _SUFFIXES: Final = frozenset({".yaml", ".yml"})
@@ -231,4 +233,5 @@ def _walk(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
     """Yield place, verb and body of each step, those inside others too."""
     for entry, verb, body in _entries(steps, place):
         yield entry, verb, body
-        yield from _walk(part(body, "steps"), (*entry, verb, "steps"))
+        if steps_inside := part(body, "steps"):
+            yield from _walk(steps_inside, (*entry, verb, "steps"))

@@ -182,8 +182,7 @@ def _step_to_json(step: Step) -> dict[str, Any]:
     return written
 
 
-def _canonical(data: Mapping[str, Any]) -> str:
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+_canonical: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode
 
 
 def _step_from_json(data: Mapping[str, Any]) -> Step:

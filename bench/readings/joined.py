@@ -101,4 +101,8 @@ def _joined(tables: Sequence[Readings], notes: tuple[str, ...]) -> Readings:
         notes=(*notes, *(f"{table.source}: {note}" for table in tables for note in table.notes)),
         skipped=tuple(text for table in tables for text in table.skipped),
         verification_missing=sum(table.verification_missing for table in tables),
+        corrected=any(table.corrected for table in tables),
+        resolution_read=min(table.resolution for table in tables)
+        if any(table.corrected for table in tables)
+        else None,
     )

@@ -44,7 +44,8 @@ class Readings:
     `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN where not given.
     `extra` keeps further columns as text; `notes` says what a reader of the table should know;
     `skipped` lists rows that were left out on request, with the reason; `verification_missing` counts the
-    verification points that were planned or written but are not among the rows.
+    verification points that were planned or written but are not among the rows. `corrected` says that known
+    errors of the instruments are taken away; `resolution_read` is then the last digit before, in `unit`.
     """
 
     source: str
@@ -65,6 +66,8 @@ class Readings:
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
     verification_missing: int = 0
+    corrected: bool = False
+    resolution_read: float | None = None
 
     @property
     def resolution(self) -> float:
@@ -72,6 +75,8 @@ class Readings:
 
         Means of several samples have a digit more than the samples: it is theirs that counts here.
         """
+        if self.resolution_read is not None:
+            return self.resolution_read
         for decimals in range(MOST_DECIMALS + 1):
             scaled = self.signal * 10.0**decimals
             if np.all(np.abs(scaled - np.round(scaled)) <= 1e-6):

@@ -98,7 +98,7 @@ class EventType(StrEnum):
     """What may be recorded, with the names of what is told of it."""
 
     RUN_STARTED = "run_started"
-    """`step`, the first one; `instruments`, their identities by name."""
+    """`step`, the first one; `instruments`, their identities by name; where certificates are stated, `serials`."""
     RUN_RESUMED = "run_resumed"
     """As of `run_started`."""
     RUN_PAUSED = "run_paused"
@@ -128,6 +128,8 @@ class EventType(StrEnum):
     """`step`, and an early sign."""
     SAME_SERIAL = "same_serial"
     """`words`, a sentence: instruments that state one serial number."""
+    CERTIFICATE = "certificate"
+    """`words`, a sentence: a certificate has expired, or is of another instrument than the one that answered."""
     WENT_ON = "went_on"
     """`step` and `causes` of an early sign that stopped the run; `reason` why it is gone on."""
     WISH_REFUSED = "wish_refused"
@@ -188,9 +190,11 @@ class Event:
         }
 
     @classmethod
-    def from_json(cls, line: Mapping[str, Any]) -> Event:
-        """Return a recorded event. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
-        data = dict(line)
+    def from_json(cls, data: dict[str, Any]) -> Event:
+        """Return a recorded event, which keeps `data`.
+
+        Raises `KeyError`, `TypeError`, `ValueError` for what is none.
+        """
         number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
         if type(number) is not int or type(time) is not str or type(kind) is not str:
             raise ValueError("its number, time or type is none")

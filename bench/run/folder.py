@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+from bench.base.collecting import uncollected
+from bench.base.json_text import read_json
 from bench.procedure.plan import Plan, Read
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
@@ -47,7 +48,8 @@ class Run:
     def plan(self) -> Plan:
         """The plan that was, or is to be, carried out."""
         try:
-            return Plan.from_json(json.loads((self.folder / PLAN).read_text(encoding="utf-8")))
+            with uncollected():
+                return Plan.from_json(read_json((self.folder / PLAN).read_bytes()))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RecordError(
                 f"{self.folder / PLAN}: cannot be read ({error}); take it from a copy"

@@ -6,14 +6,15 @@ is kept than what going on with the run and evaluating it need.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256 as digest_of
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, Final, NoReturn, overload
+from typing import BinaryIO, Final, overload
 
+from bench.base.collecting import uncollected
+from bench.base.json_text import read_json
 from bench.readings.reading import Reading
 from bench.run.events import Event, EventType
 from bench.run.manifest import EVENTS, MANIFEST, RecordError, changed_inputs, sha256
@@ -55,8 +56,8 @@ class History:
 
     `head` is the SHA-256 of the last whole line, which stands for all before it, `length` the bytes up to there.
     `taken` are readings and the marks of a mounting in the middle of a run, in the order of measurement, without
-    their samples; `identities` those of the instruments when the run was begun. What follows on a line that cannot
-    be believed is left out of everything.
+    their samples; `identities` those of the instruments when the run was begun, `serials` their serial numbers
+    where the bench has certificates. What follows on a line that cannot be believed is left out of everything.
     """
 
     events: Events
@@ -68,6 +69,7 @@ class History:
     progress: Progress
     taken: tuple[tuple[int, Reading] | None, ...]
     identities: dict[str, str]
+    serials: dict[str, str]
 
     @property
     def readings(self) -> dict[int, Reading]:
@@ -81,6 +83,7 @@ class History:
         return by_step
 
 
+@uncollected()
 def read_history(folder: Path) -> History:
     """Read the events of a run and check the chain of hashes and the inputs' hashes. Raises `RecordError`."""
     problems = changed_inputs(folder)
@@ -108,6 +111,7 @@ class _Reader:
         self._progress = Progress()
         self._taken: list[tuple[int, Reading] | None] = []
         self._identities: dict[str, str] | None = None
+        self._serials: dict[str, str] = {}
 
     def read(self, file: BinaryIO) -> list[str]:
         """Take the lines; return what is wrong with the first that cannot be believed."""
@@ -147,6 +151,7 @@ class _Reader:
             self._taken.append(None)
         elif event.type in _OPENED and self._identities is None:
             self._identities = dict(self._progress.identities)
+            self._serials = {str(name): str(serial) for name, serial in event.data.get("serials", {}).items()}
 
     def history(self, path: Path, problems: list[str]) -> History:
         """Return what was taken."""
@@ -160,6 +165,7 @@ class _Reader:
             progress=self._progress,
             taken=tuple(self._taken),
             identities=self._identities or {},
+            serials=self._serials,
         )
 
 
@@ -172,15 +178,8 @@ def parse_line(line: bytes) -> tuple[Event, str]:
     Raises `ValueError` for what is no event, and for one that no bench writes.
     """
     try:
-        data = _DECODER.decode(line.decode())
+        data = read_json(line)
         previous = data.pop("prev")
         return Event.from_json(data), str(previous)
     except (KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise ValueError(str(error)) from error
-
-
-def _no_number(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
-
-
-_DECODER: Final = json.JSONDecoder(parse_constant=_no_number)

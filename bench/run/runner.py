@@ -7,7 +7,7 @@ it cannot tell a simulated bench from a real one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -64,7 +64,8 @@ class Runner:
     person's, not the bench's. `least_samples` is how few samples every voltmeter takes. `decider` is asked how to
     go on after an early sign, where that is somebody else than `person`. After `hold_signals` no signal raises
     anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time that jumps
-    where `clocks` see to it.
+    where `clocks` see to it. `certificates` says of the serial numbers that answered, by name, what is to be told
+    of the instruments' certificates.
     """
 
     plan: Plan
@@ -86,6 +87,7 @@ class Runner:
     clocks: ClockWatch | None = None
     on_settling: Callable[[Settling], None] = lambda state: None
     hold_signals: Callable[[], None] = lambda: None
+    certificates: Callable[[Mapping[str, str]], Sequence[str]] | None = None
     state: RunState = RunState.READY
     _zero_s: float = 0.0
 
@@ -131,11 +133,14 @@ class Runner:
         opened = self.instruments.open()
         identities = {name: str(identity) for name, identity in opened.items()}
         self._insist(partial(self._compare, identities))
-        self._change(
-            EventType.RUN_RESUMED if resume else EventType.RUN_STARTED, step=start, instruments=identities
-        )
+        serials = {name: identity.serial for name, identity in opened.items()}
+        known = {} if self.certificates is None else {"serials": serials}
+        begun = EventType.RUN_RESUMED if resume else EventType.RUN_STARTED
+        self._change(begun, step=start, instruments=identities, **known)
         for words in same_serials(opened):
             self._emit(EventType.SAME_SERIAL, words=words)
+        for words in self.certificates(serials) if self.certificates is not None else ():
+            self._emit(EventType.CERTIFICATE, words=words)
         if resume:
             self._restore(resume)
         self._carry_out(start)

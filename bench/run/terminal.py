@@ -222,7 +222,7 @@ def sentence(event: Event) -> str:
             return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
         case EventType.WENT_ON:
             return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
-        case EventType.SAME_SERIAL:
+        case EventType.SAME_SERIAL | EventType.CERTIFICATE:
             return f"look: {data['words']}"
         case EventType.STEP_FAILED:
             return f"failed, tried again: {data['error']}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import inspect
 import types
 from collections.abc import Callable, Iterator, Mapping
@@ -18,6 +19,7 @@ from docs.generators.markdown import code, prose, table
 
 _PLAIN: Final[Mapping[Any, str]] = {
     str: "text",
+    datetime.date: "a date such as `2026-03-02`",
     int: "whole number",
     float: "number",
     bool: "yes or no",

@@ -56,6 +56,10 @@ ACCURACY_90_DAYS: Final = {
     0.1: (40e-6, 35e-6), 1.0: (30e-6, 7e-6), 10.0: (20e-6, 5e-6), 100.0: (35e-6, 6e-6), 1000.0: (35e-6, 10e-6),
 }  # fmt: skip
 """Limits of error of DC volts by range, at 23 ± 5 °C: parts of the reading and of the range."""
+ACCURACY_1_YEAR: Final = {
+    0.1: (50e-6, 35e-6), 1.0: (40e-6, 7e-6), 10.0: (35e-6, 5e-6), 100.0: (45e-6, 6e-6), 1000.0: (45e-6, 10e-6),
+}  # fmt: skip
+"""The same within a year of its calibration."""
 TEMPERATURE_COEFFICIENT: Final = {
     0.1: (5e-6, 5e-6), 1.0: (5e-6, 1e-6), 10.0: (5e-6, 1e-6), 100.0: (5e-6, 1e-6), 1000.0: (5e-6, 1e-6),
 }  # fmt: skip

@@ -65,6 +65,9 @@ ACCURACY_90_DAYS: Final = {
 
 Read in the table of the Model 2016, which has the same converter; that of the 2000 agrees as far as it was known.
 """
+ACCURACY_1_YEAR: Final = {10.0: (30e-6, 5e-6)}
+"""Within a year of its calibration, of the range that was at hand: from the service manual of the Model 2015, which
+has the same converter."""
 TEMPERATURE_COEFFICIENT: Final = {
     0.1: (2e-6, 6e-6), 1.0: (2e-6, 1e-6), 10.0: (2e-6, 1e-6), 100.0: (5e-6, 1e-6), 1000.0: (5e-6, 1e-6),
 }  # fmt: skip

@@ -41,6 +41,8 @@ SAMPLE_OVERHEAD_S: Final = 0.03
 
 _SHARED: Final = RANGES_V[:-1]
 ACCURACY_90_DAYS: Final = {r: line.ACCURACY_90_DAYS[r] for r in _SHARED} | {300.0: (35e-6, 20e-6)}
+ACCURACY_1_YEAR: Final = {r: line.ACCURACY_1_YEAR[r] for r in _SHARED}
+"""Of the 300 V range the limits of a year were not at hand."""
 TEMPERATURE_COEFFICIENT: Final = {r: line.TEMPERATURE_COEFFICIENT[r] for r in _SHARED} | {300.0: (5e-6, 3e-6)}
 REFERENCE_C: Final = line.REFERENCE_C
 REFERENCE_WIDTH_C: Final = line.REFERENCE_WIDTH_C

@@ -7,6 +7,7 @@ measured on meters of this class.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from drivers.agilent_34401a.facts import OVERLOAD_V
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 
     from sim.agilent_34401a.functions import Function, FunctionSettings
 
-Accuracy = Literal["90 days"]
+Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
+"""The errors of a simulated meter: drawn within limits of 90 days, or by range a gain error and an offset, V."""
 
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
@@ -101,9 +103,9 @@ class Converter:
     With `noise` a sample has white noise by its integration time and is rounded to the resolution; without,
     it is the exact value (a reply still carries 8 decimals). With `accuracy` the meter has a gain and an
     offset of its own for each range, drawn once within half the limits of error, and a temperature
-    coefficient. The terminals carry a DC voltage and nothing else: AC functions, current, frequency and
-    period read zero, resistance, continuity and diode see open leads, the ratio has no reference. While
-    `overloaded` is set, every sample is beyond the range.
+    coefficient; or those errors that are given. The terminals carry a DC voltage and nothing else: AC functions,
+    current, frequency and period read zero, resistance, continuity and diode see open leads, the ratio has no
+    reference. While `overloaded` is set, every sample is beyond the range.
     """
 
     def __init__(
@@ -194,6 +196,9 @@ class Converter:
     def _with_errors(self, signal_v: float, range_v: float) -> float:
         if self._accuracy is None:
             return signal_v
+        if not isinstance(self._accuracy, str):
+            known_gain, known_v = self._accuracy.get(range_v, (0.0, 0.0))
+            return signal_v * (1.0 + known_gain) + known_v
         if range_v not in self._errors:
             draws = self._source.fixed_random(f"voltmeter accuracy {range_v:g} V").uniform(-0.5, 0.5, 4)
             limits = (*self._facts.ACCURACY_90_DAYS[range_v], *self._facts.TEMPERATURE_COEFFICIENT[range_v])

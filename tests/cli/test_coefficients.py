@@ -58,12 +58,22 @@ def test_what_the_result_says_of_its_uncertainty_is_passed_on(bench):
     given = given[0] if isinstance(given, list) else given
     readings = np.array(given["covariance"])
     given.update(covariance=(4 * readings).tolist(), covariance_readings=readings.tolist())
+    given["corrections"] = [
+        {
+            "instrument": "voltmeter.x",
+            "certificate": "C-17",
+            "laboratory": "a lab",
+            "date": "2025-01-02",
+            "expired": True,
+        }
+    ]
     for entry in given["coefficients"].values():
         entry.update(k=2.13, U=2.13 * entry["u"], dof=17.0)
     Path("whole.json").write_text(json.dumps(given), encoding="utf-8")
     status, out, _ = bench("coefficients", "whole.json", "--json", "out.json", "--as", "csv")
     assert status == 0
     assert "combined: the stand" in out
+    assert "certificates: voltmeter.x C-17 (a lab, 2025-01-02, EXPIRED)" in out
     result = json.loads(Path("out.json").read_text(encoding="utf-8"))
     keeps_to("coefficients", result)
     assert result["combined"]
@@ -103,6 +113,8 @@ def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(benc
         (("finished", "finished"), "two sources would write"),
         (("broken.json",), "broken.json: not a result of 'bench calibrate --json'"),
         (("odd.json",), "odd.json: the covariance is not symmetric"),
+        (("flat.json",), "flat.json: its K has no inverse"),
+        (("huge.json",), "huge.json: holds numbers beyond 1e+12"),
     ],
 )
 def test_mistakes_are_one_line_each(finished, arguments, told):
@@ -112,6 +124,10 @@ def test_mistakes_are_one_line_each(finished, arguments, told):
     one = one[0] if isinstance(one, list) else one
     one["covariance_readings"] = np.triu(np.array(one["covariance"])).tolist()
     Path("odd.json").write_text(json.dumps(one), encoding="utf-8")
+    for name, value in (("flat.json", 0.0), ("huge.json", 1e300)):
+        one = json.loads((RECORDS / "calibrate.json").read_text(encoding="utf-8"))
+        one["coefficients"]["Kyy"]["value"] = value
+        Path(name).write_text(json.dumps(one), encoding="utf-8")
     status, _, err = finished("coefficients", *arguments)
     assert status == 2
     assert told in err

@@ -101,10 +101,12 @@ def _of_reading(
     per_channel = np.eye(3)[None]
     alone = np.zeros((len(force), 3, 0))
     none = np.zeros((1, 3, 1))
-    if source.name in {"voltmeter_error", "voltmeter_linearity"}:
-        return none, np.broadcast_to(source.u * per_channel, (len(force), 3, 3))
-    if source.name in {"voltmeter_gain", "voltmeter_offset"}:
-        sensed = block.output(force) if source.name == "voltmeter_gain" else np.ones_like(force)
+    if source.kind in {"voltmeter_error", "voltmeter_linearity"}:
+        own = source.u * per_channel * source.on_channels
+        return none, np.broadcast_to(own, (len(force), 3, 3))
+    if source.kind in {"voltmeter_gain", "voltmeter_offset"}:
+        sensed = block.output(force) if source.kind == "voltmeter_gain" else np.ones_like(force)
+        sensed = sensed * source.on_channels
         meters = np.unique(budget.setup.meters, return_inverse=True)[1]
         errors = source.u * sensed[:, :, None] * np.eye(int(meters.max()) + 1)[meters][None]
         return (errors, alone) if same_voltmeters else (none, errors)

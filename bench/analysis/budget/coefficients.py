@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.analysis.budget.estimators import gain as gain_of
+from bench.analysis.budget.patterns import influences
 from bench.analysis.budget.propagation import (
     COVERAGE,
     Propagated,
@@ -19,7 +20,7 @@ from bench.analysis.budget.propagation import (
     effective_dof,
 )
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import ErrorSource, influences, sizes_by_name
+from bench.analysis.budget.sources import ErrorSource, sizes_by_name
 from bench.analysis.calibration.estimators import GLS
 from bench.base.arrays import Floats
 from bench.base.numbers import finite_or_none

@@ -23,8 +23,9 @@ from bench.analysis.budget.monte_carlo import (
     summary,
     validate,
 )
+from bench.analysis.budget.patterns import influences
 from bench.analysis.budget.propagation import Propagated
-from bench.analysis.budget.sources import ErrorSource, influences
+from bench.analysis.budget.sources import ErrorSource
 from bench.base.arrays import Floats
 from bench.base.progress import tracked
 from bench.model import STAND_ANGLES

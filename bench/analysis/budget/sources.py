@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import datetime
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 
-from bench.analysis.budget.influence import Influence
+from bench.analysis.budget.meters import Size, linearity_of, size_of
 from bench.analysis.budget.setup import Setup
 from bench.analysis.calibration.design import SYMBOLS, WEAK, EffectUnknown
-from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
+from bench.base.arrays import ARCSEC, CHANNELS, Floats
+from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import STAND_ERRORS, BenchFile
-from bench.files.bench.stand import ErrorSize, Location
+from bench.files.bench.stand import ErrorSize, Location, MeasuredGravity
 from bench.model import STAND_ANGLES, Distribution
 
-Common = Literal["reading", "setting", "orientation", "mounting", "run"]
-"""What shares one draw of an error: a single signal, the three of a setting of the head, all readings in one
-orientation, all of one mounting, everything."""
+Common = Literal["reading", "setting", "angle", "orientation", "mounting", "run"]
+"""What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
+of it, all readings in one orientation, all of one mounting, everything."""
 
 Group = Literal["stand", "scale", "block"]
 """Which errors a source belongs to: the stand's and the readings' own, which `bench calibrate` states; those
@@ -55,7 +57,7 @@ class ErrorSource:
     `origin` says where the size comes from; `prior` that it is a plausible size and not a stated one.
     `factors` scale the error where it acts (the temperature coefficients, per K). The parameter of an effect
     has `effect`, and in `written_in` the unit in which files state it with its size in SI. `channels` are
-    those that it is of: K2 and K3 are not of one for which the model has such an effect.
+    those that it is of: K2 and K3 are not of one for which the model has such an effect, a voltmeter's are its own.
     """
 
     name: str
@@ -71,6 +73,11 @@ class ErrorSource:
     effect: EffectUnknown | None = None
     channels: tuple[str, ...] = CHANNELS
     written_in: tuple[str, float] = ("", 1.0)
+
+    @property
+    def kind(self) -> str:
+        """Its name without whose it is: "voltmeter_gain" of "voltmeter_gain[x]"."""
+        return self.name.partition("[")[0]
 
     @property
     def u(self) -> float:
@@ -96,17 +103,23 @@ class ErrorSource:
 # --- from a bench file ------------------------------------------------------------------------------
 
 
-def bench_sources(bench: BenchFile, setup: Setup) -> tuple[ErrorSource, ...]:
+def bench_sources(
+    bench: BenchFile, setup: Setup, day: datetime.date | None = None
+) -> tuple[ErrorSource, ...]:
     """Return the sources of a bench: the stand's errors, the voltmeters', gravity, temperature, the block.
+
+    `day` is that of the readings: what a certificate states has drifted since its own.
 
     Parameters of effects in the model of `setup` are sources, too; the priors of K2 and K3 stand only where the
     model has no such effect.
     """
     return (
         *stand_sources(bench),
-        *_voltmeter_sources(bench),
+        *_voltmeter_sources(bench, day),
+        *_head_table_source(bench),
         *_gravity_source(bench),
         _temperature_source(bench),
+        *_thermometer_source(bench),
         *_nonlinearity_sources(bench, setup),
         *effect_sources(setup),
     )
@@ -145,21 +158,39 @@ _FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
 }
 
 
-def _voltmeter_sources(bench: BenchFile) -> Iterator[ErrorSource]:
-    meter = bench.instruments.voltmeters[0]
-    kind, range_v = meter.kind, meter.range
-    of_reading, of_range = kind.accuracy[range_v]
-    whose = f"{meter.driver}, limits of 90 days on {range_v:g} V"
+def _voltmeter_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[ErrorSource]:
+    """One line for each quantity where all meters are alike, else one for each meter: "voltmeter_gain[x]"."""
+    meters = bench.instruments.voltmeters
     largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))
-    curved_v = kind.linearity[0] * largest_v + kind.linearity[1] * range_v
     section = bench.uncertainty
-    for name, symbol, unit, limit, common, stated in (
-        ("voltmeter_gain", "gain", "1", of_reading, "run", section.voltmeter_gain),
-        ("voltmeter_offset", "offset", "V", of_range * range_v, "run", section.voltmeter_offset),
-        ("voltmeter_linearity", "linearity", "V", curved_v, "orientation", section.voltmeter_linearity),
-    ):
-        usual = Distribution(limit, "rectangular")
-        yield _stated(name, symbol, unit, common, stated, usual, whose)  # type: ignore[arg-type]
+    quantities: tuple[tuple[str, str, str, Common, ErrorSize | None, Callable[[VoltmeterForm], Size]], ...] = (
+        ("voltmeter_gain", "gain", "1", "run", section.voltmeter_gain,
+         lambda meter: size_of("voltmeter_gain", meter, day)),
+        ("voltmeter_offset", "offset", "V", "run", section.voltmeter_offset,
+         lambda meter: size_of("voltmeter_offset", meter, day)),
+        ("voltmeter_linearity", "linearity", "V", "orientation", section.voltmeter_linearity,
+         lambda meter: linearity_of(meter, largest_v)),
+    )  # fmt: skip
+    for name, symbol, unit, common, stated, size in quantities:
+        if stated is not None:
+            sizes = [Size(stated.to_distribution(), "bench file", stated.dof)]
+        else:
+            sizes = [size(meter) for meter in meters]
+        if all(one == sizes[0] for one in sizes):
+            yield _sized(
+                ErrorSource(name, symbol, unit, sizes[0].distribution, common, "scale", ""), sizes[0]
+            )
+            continue
+        for meter, own in zip(meters, sizes, strict=True):
+            called = f"{name}[{''.join(meter.channels)}]"
+            source = ErrorSource(
+                called, symbol, unit, own.distribution, common, "scale", "", channels=meter.channels
+            )
+            yield _sized(source, own)
+
+
+def _sized(source: ErrorSource, size: Size) -> ErrorSource:
+    return replace(source, origin=size.origin, dof=size.dof, prior=size.prior)
 
 
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
@@ -171,6 +202,11 @@ def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
     if stated is not None:
         relative = replace(stated.to_distribution(), limit=stated.limit / g)
         yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", stated.dof)
+    elif isinstance(bench.gravity, MeasuredGravity):
+        known = bench.gravity
+        relative = Distribution(known.U / g, k=known.k)
+        origin = f"{known.source}, {known.date}: U = {known.U:.3g} m/s², k = {known.k:g}"
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", origin, known.dof)
     elif isinstance(bench.gravity, Location):
         origin = "WGS 84 formula: anomalies of 50 mGal"
         yield ErrorSource(
@@ -203,6 +239,30 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
         prior=section.temperature is None or None in sizes,
         factors={"bias": coefficients[0], "scale": coefficients[1]},
     )
+
+
+def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """What the table of the head leaves unknown: the same at an angle, however often the head comes there."""
+    certificate = bench.instruments.head.certificate
+    if certificate is not None:
+        worst = max(certificate.values, key=lambda value: value.U / value.k)
+        size = Distribution(worst.U, k=worst.k)
+        origin = (
+            f"certificate {certificate.number} of {certificate.date}: largest U of its table, k = {worst.k:g}"
+        )
+        yield ErrorSource("head_table", "head", "rad", size, "angle", "scale", origin, worst.dof)
+
+
+def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """How far the temperature told may be from the true one: all of a run alike."""
+    certificate = getattr(bench.instruments.chamber, "certificate", None)
+    if certificate is not None:
+        worst = max(certificate.values, key=lambda value: value.U / value.k)
+        origin = f"certificate {certificate.number} of {certificate.date}: the largest U, k = {worst.k:g}"
+        source = ErrorSource(
+            "thermometer", "T", "K", Distribution(worst.U, k=worst.k), "run", "scale", origin, worst.dof
+        )
+        yield replace(source, factors=_temperature_source(bench).factors)
 
 
 def _nonlinearity_sources(bench: BenchFile, setup: Setup) -> Iterator[ErrorSource]:
@@ -255,62 +315,6 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
             effect=unknown,
             written_in=(parameter.unit, parameter.si_per_unit),
         )
-
-
-# --- what they do to the readings -------------------------------------------------------------------
-
-
-_Patterns = Sequence[tuple[Floats, Ints]]
-"""What a unit of a source does to the signals, V (n, 3), and what shares a draw of it, as `Influence.of`."""
-
-_EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
-
-
-def influences(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
-    """Return how a unit of the source acts on the readings of a setup; parts of it are independent."""
-    if source.effect is not None:
-        column = setup.effect_problem.effects.index(source.effect)
-        patterns: _Patterns = [(setup.effect_columns[:, :, column], _EVERYTHING)]
-    elif source.name in STAND_ANGLES:
-        patterns = [(setup.stand_slope(source.name), setup.conditions.mount[:, None])]
-    else:
-        patterns = _PATTERNS[source.name](source, setup)
-    return tuple(Influence.of(pattern, group) for pattern, group in patterns)
-
-
-def _linearity(source: ErrorSource, setup: Setup) -> _Patterns:
-    # the same voltage gives the same error: repeats do not average it; channels have voltages of their own
-    return [(np.ones_like(setup.signal), 3 * setup.orientation[:, None] + np.arange(3))]
-
-
-def _temperature(source: ErrorSource, setup: Setup) -> _Patterns:
-    # the coefficients' signs are not known, so that bias and scale of each channel move on their own
-    factors = source.factors or {}
-    group = 3 * setup.conditions.mount[:, None] + np.arange(3)
-    sensed = setup.force @ setup.block.K.T
-    bias = np.broadcast_to(np.diag(setup.block.K), sensed.shape)
-    return [(factors["bias"] * bias, group), (factors["scale"] * sensed, group)]
-
-
-def _power(exponent: int) -> Callable[[ErrorSource, Setup], _Patterns]:
-    def act(source: ErrorSource, setup: Setup) -> _Patterns:
-        factor = np.diag(setup.block.K) * source.on_channels
-        return [(factor * setup.force**exponent, np.arange(3)[None, :])]
-
-    return act
-
-
-_PATTERNS: Final[Mapping[str, Callable[[ErrorSource, Setup], _Patterns]]] = {
-    "voltmeter_error": lambda _, s: [(np.ones_like(s.signal), np.arange(s.signal.size).reshape(-1, 3))],
-    "setting_error": lambda _, s: [(s.setting_slope, np.arange(len(s.conditions))[:, None])],
-    "voltmeter_gain": lambda _, s: [(s.signal, np.array(s.meters)[None, :])],
-    "voltmeter_offset": lambda _, s: [(np.ones_like(s.signal), np.array(s.meters)[None, :])],
-    "voltmeter_linearity": _linearity,
-    "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
-    "temperature": _temperature,
-    "K2": _power(2),
-    "K3": _power(3),
-}
 
 
 def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:

@@ -28,7 +28,8 @@ class FullDiagnosis:
     """What `bench diagnose` finds out of one body of readings; JSON, terminal and page are told from it.
 
     `ranking` has for each effect that was found the families in its place; `skipped_rows` names rows of the
-    source that could not be read. `model` and `report` are files that were written.
+    source that could not be read. `model` and `report` are files that were written, `corrections` what is known
+    of the instruments' certificates.
     """
 
     source: str
@@ -41,6 +42,7 @@ class FullDiagnosis:
     model: Path | None = None
     report: Path | None = None
     bench: Mapping[str, str] | None = None
+    corrections: Sequence[Mapping[str, Any]] = ()
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
         """Return the ranking of the effect of this number; nothing where it was not ranked."""
@@ -60,6 +62,7 @@ class FullDiagnosis:
             "ranking": [[rival.to_dict() for rival in one] for one in self.ranking],
             "source": self.source,
             "bench": None if self.bench is None else dict(self.bench),
+            "corrections": [dict(one) for one in self.corrections],
             "simulated": self.simulated,
             "skipped_rows": list(self.skipped_rows),
             "report": None if self.report is None else str(self.report),
@@ -74,6 +77,7 @@ class TooLittleLeft(CalibrationError):
         self.mistakes = tuple(mistakes)
         self.simulated = simulated
         self.bench: Mapping[str, str] | None = None
+        self.corrections: Sequence[Mapping[str, Any]] = ()
         self.reason = reason
         told = "; ".join(mistake.words for mistake in mistakes)
         super().__init__(f"a mistake: {told}; put right, {reason}")
@@ -102,6 +106,7 @@ class TooLittleLeft(CalibrationError):
             "simulated": self.simulated,
             "skipped_rows": [],
             "bench": None if self.bench is None else dict(self.bench),
+            "corrections": [dict(one) for one in self.corrections],
             "report": None,
         }
 

@@ -14,7 +14,7 @@ from bench.base.forms import part
 from bench.base.units import SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
 from bench.devices.device import Role
 from bench.devices.registry import devices
-from bench.devices.voltmeters import VoltmeterForm, written_channels
+from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm, written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
 from bench.readings.table import UNORIENTED
@@ -145,6 +145,13 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """What is said of a simulated head or chamber is there to be simulated."""
+    accuracy: Place = ("simulation", "voltmeter", "accuracy")
+    if part(data, *accuracy) == CERTIFICATE:
+        meters = enumerate(_items(part(data, "instruments", "voltmeters")), start=1)
+        without = [str(number) for number, meter in meters if part(meter, "certificate") is None]
+        if without:
+            text = f"voltmeter {', '.join(without)} has no certificate whose errors it could have"
+            yield accuracy, text
     roles: tuple[Role, ...] = ("head", "chamber")
     for role in roles:
         stated = part(data, "simulation", role)

@@ -30,6 +30,7 @@ from bench.files.bench.stand import (
     Gravity,
     InstallationSection,
     Location,
+    MeasuredGravity,
     StandSection,
     UnitUnderTest,
     VerificationSection,
@@ -82,7 +83,7 @@ class BenchFile(FileModel):
         """Local gravity as stated or by the WGS 84 formula, None where the file gives neither."""
         if isinstance(self.gravity, Location):
             return normal_gravity_m_s2(self.gravity.latitude, self.gravity.height)
-        return self.gravity
+        return self.gravity.value if isinstance(self.gravity, MeasuredGravity) else self.gravity
 
     @property
     def voltmeter_range_v(self) -> float:

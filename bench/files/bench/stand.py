@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator,
 from bench.base.forms import FileModel
 from bench.base.units import (
     ACCELERATION,
+    GRAVITY,
     VOLTAGE,
     AccelerationG,
     AccelerationMS2,
@@ -18,6 +19,7 @@ from bench.base.units import (
     SizeRad,
     not_negative,
 )
+from bench.devices.certificates import Day
 from bench.devices.chambers import TemperatureRange
 from bench.model import Distribution, Installation
 from bench.model.gravity import normal_gravity_m_s2
@@ -55,13 +57,27 @@ def _plausible_gravity(g_m_s2: float) -> float:
     return g_m_s2
 
 
+class MeasuredGravity(FileModel):
+    """A value of local gravity with who found it when, and its expanded uncertainty U = k u."""
+
+    value: Annotated[AccelerationMS2, AfterValidator(_plausible_gravity)]
+    source: str
+    date: Day
+    U: Annotated[float, not_negative(GRAVITY)]
+    k: Annotated[float, Field(gt=0.0)]
+    dof: Annotated[float, Field(gt=0.0)] = float("inf")
+
+
 def _form_of_gravity(written: Any) -> str:
+    if isinstance(written, MeasuredGravity) or (isinstance(written, dict) and "value" in written):
+        return "gravity with its source"
     return "location of gravity" if isinstance(written, dict | Location) else "value of gravity"
 
 
 Gravity = Annotated[
     Annotated[AccelerationMS2, AfterValidator(_plausible_gravity), Tag("value of gravity")]
-    | Annotated[Location, Tag("location of gravity")],
+    | Annotated[Location, Tag("location of gravity")]
+    | Annotated[MeasuredGravity, Tag("gravity with its source")],
     Discriminator(_form_of_gravity),
 ]
 

@@ -63,9 +63,9 @@ def test_shipped_drivers_are_listed_in_their_old_order():
             "tolerance: 5 arcsec ",
             "tolerence: 5 arcsec ",
             "tolerance: 5 arcsec ",
-            "unknown key 'tolerence'; did you mean 'tolerance'? known: allow_homing, axis, backoff, checksums, "
-            "device, driver, identity, maximum, minimum, name, resolution, resource, serial, settle, speed, "
-            "steps_per_degree, timeout, tolerance",
+            "unknown key 'tolerence'; did you mean 'tolerance'? known: allow_homing, axis, backoff, "
+            "certificate, checksums, device, driver, identity, maximum, minimum, name, resolution, resource, "
+            "serial, settle, speed, steps_per_degree, timeout, tolerance",
         ),
         (
             "bench-lan",

@@ -1,0 +1,84 @@
+"""What each error of a bench does to the signals, and which of them share a draw of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.budget.influence import Influence
+from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.sources import ErrorSource
+from bench.base.arrays import Floats, Ints
+from bench.model import STAND_ANGLES
+
+_Patterns = Sequence[tuple[Floats, Ints]]
+"""What a unit of a source does to the signals, V (n, 3), and what shares a draw of it, as `Influence.of`."""
+
+_SAME_ANGLE_RAD: Final = math.radians(0.05)
+"""Settings no further apart than this have the error of one angle of the head."""
+
+_EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
+
+
+def influences(source: ErrorSource, setup: Setup) -> tuple[Influence, ...]:
+    """Return how a unit of the source acts on the readings of a setup; parts of it are independent."""
+    if source.effect is not None:
+        column = setup.effect_problem.effects.index(source.effect)
+        patterns: _Patterns = [(setup.effect_columns[:, :, column], _EVERYTHING)]
+    elif source.name in STAND_ANGLES:
+        patterns = [(setup.stand_slope(source.name), setup.conditions.mount[:, None])]
+    else:
+        patterns = _PATTERNS[source.kind](source, setup)
+    return tuple(Influence.of(pattern, group) for pattern, group in patterns)
+
+
+def _linearity(source: ErrorSource, setup: Setup) -> _Patterns:
+    # the same voltage gives the same error: repeats do not average it; channels have voltages of their own
+    return [(np.ones_like(setup.signal) * source.on_channels, 3 * setup.orientation[:, None] + np.arange(3))]
+
+
+def _same_angle(setup: Setup) -> Ints:
+    """Return a number for each reading, shape (n,): the same where the head stands at one angle of its scale."""
+    angle_rad = np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau)
+    order = np.argsort(angle_rad, kind="stable")
+    numbers = np.empty(len(order), dtype=np.int64)
+    numbers[order] = np.concatenate([[0], np.cumsum(np.diff(angle_rad[order]) > _SAME_ANGLE_RAD)])
+    return numbers
+
+
+def _temperature(source: ErrorSource, setup: Setup) -> _Patterns:
+    # the coefficients' signs are not known, so that bias and scale of each channel move on their own
+    factors = source.factors or {}
+    common = np.zeros_like(setup.conditions.mount) if source.common == "run" else setup.conditions.mount
+    group = 3 * common[:, None] + np.arange(3)
+    sensed = setup.force @ setup.block.K.T
+    bias = np.broadcast_to(np.diag(setup.block.K), sensed.shape)
+    return [(factors["bias"] * bias, group), (factors["scale"] * sensed, group)]
+
+
+def _power(exponent: int) -> Callable[[ErrorSource, Setup], _Patterns]:
+    def act(source: ErrorSource, setup: Setup) -> _Patterns:
+        factor = np.diag(setup.block.K) * source.on_channels
+        return [(factor * setup.force**exponent, np.arange(3)[None, :])]
+
+    return act
+
+
+_PATTERNS: Final[Mapping[str, Callable[[ErrorSource, Setup], _Patterns]]] = {
+    "voltmeter_error": lambda _, s: [(np.ones_like(s.signal), np.arange(s.signal.size).reshape(-1, 3))],
+    "setting_error": lambda _, s: [(s.setting_slope, np.arange(len(s.conditions))[:, None])],
+    "voltmeter_gain": lambda own, s: [(s.signal * own.on_channels, np.array(s.meters)[None, :])],
+    "voltmeter_offset": lambda own, s: [
+        (np.ones_like(s.signal) * own.on_channels, np.array(s.meters)[None, :])
+    ],
+    "head_table": lambda _, s: [(s.setting_slope, _same_angle(s)[:, None])],
+    "voltmeter_linearity": _linearity,
+    "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
+    "temperature": _temperature,
+    "thermometer": _temperature,
+    "K2": _power(2),
+    "K3": _power(3),
+}

@@ -1,0 +1,75 @@
+"""Readings with known errors of the instruments taken away: the record holds what was read, analyses what is true.
+
+A correction is what is added to a value that was read (JCGM 200:2012, 2.53).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.readings.table import Readings
+
+Curve = tuple[tuple[float, float], ...]
+"""Where corrections are known, rising, and the correction there; straight between."""
+
+VOLTS: Final = "V"
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What is added to readings: U (1 + `gain`) + `offset_v` for x, y, z; to the angle and the temperature read.
+
+    `head` is in rad over a turn from 0 on, which it goes round; `thermometer` in K over °C, its ends hold beyond.
+    """
+
+    gain: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset_v: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    head: Curve = ()
+    thermometer: Curve = ()
+
+    @property
+    def of_signals(self) -> bool:
+        """Whether any signal is corrected."""
+        return any(self.gain) or any(self.offset_v)
+
+    def __bool__(self) -> bool:
+        return self.of_signals or bool(self.head) or bool(self.thermometer)
+
+
+def corrected(readings: Readings, by: Corrections) -> Readings:
+    """Return readings with the corrections added, marked as such: those that are marked come back as they are.
+
+    Signals are corrected where they are in volts. The last digit of the readings stays that of what was read.
+    """
+    if readings.corrected or not by:
+        return readings
+    signal, signal_sd = readings.signal, readings.signal_sd
+    if by.of_signals and readings.unit == VOLTS:
+        scale = 1.0 + np.array(by.gain)
+        signal, signal_sd = signal * scale + np.array(by.offset_v), signal_sd * scale
+    angle_rad, temperature_c = readings.angle_rad, readings.temperature_c
+    if by.head:
+        angle_rad = angle_rad + on_scale(by.head, angle_rad)
+    if by.thermometer:
+        known_c, added_k = np.array(by.thermometer).T
+        temperature_c = temperature_c + np.interp(temperature_c, known_c, added_k)
+    return replace(
+        readings,
+        signal=signal,
+        signal_sd=signal_sd,
+        angle_rad=angle_rad,
+        temperature_c=temperature_c,
+        corrected=True,
+        resolution_read=readings.resolution,
+    )
+
+
+def on_scale(table: Curve, angle_rad: Floats) -> Floats:
+    """Return the corrections of a head's table at angles of any size, rad; NaN for NaN."""
+    known_rad, added_rad = np.array(table).T
+    return np.asarray(np.interp(angle_rad, known_rad, added_rad, period=math.tau))
