@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -121,7 +121,17 @@ def block_result(data: Any, where: str) -> BlockResult:
         expanded={name: size for name, size in expanded.items() if size},
         covariance_readings=_further_covariance(data, "covariance_readings", where),
         gravity_u=_positive(data.get("gravity_u")),
+        certificates=tuple(_certificates(data.get("corrections"))),
     )
+
+
+def _certificates(corrections: Any) -> Iterator[str]:
+    """Yield each certificate that a result names, in words."""
+    for one in corrections if isinstance(corrections, list) else ():
+        if isinstance(one, Mapping) and _text(one.get("certificate")):
+            expired = ", EXPIRED" if one.get("expired") is True else ""
+            of = f"{_text(one.get('laboratory'))}, {_text(one.get('date'))}{expired}"
+            yield f"{_text(one.get('instrument'))} {one['certificate']} ({of})"
 
 
 def _text(value: object) -> str:

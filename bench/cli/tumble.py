@@ -67,12 +67,15 @@ def tumble(
             "made_at": source.made_at,
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
+            "corrections": source.traced.to_json(),
+            "notes": [*source.readings.notes, *source.readings.skipped],
         }
         results.append(result)
         fits = fits and not view.lack_of_fit.p < FITS_P
         file = printing.write_result(source, "tumble", result, what_if=source.what_if)
         on = printing.console(json=json)
         _print(view, source.name, on)
+        printing.notes_on(on, result["notes"])
         if file is not None:
             printing.written("result", file, on)
     printing.write_json(results, json)

@@ -43,7 +43,8 @@ class BlockResult:
     show; `covariance_readings` is that part, None where the result does not tell it apart. `expanded` are the U
     by name that the result states; for all else U is `k` times u. `gravity_u` is the relative standard
     uncertainty of `g_m_s2`, which is in no number per g, 0 where the result does not tell it. `bench` is what a
-    result says of its bench file. `block_type`, `serial` and `made_at` are empty where nobody states them.
+    result says of its bench file, `certificates` name those of its instruments. `block_type`, `serial` and
+    `made_at` are empty where nobody states them.
     """
 
     block: Block
@@ -60,6 +61,7 @@ class BlockResult:
     expanded: Mapping[str, float] | None = None
     covariance_readings: Floats | None = None
     gravity_u: float = 0.0
+    certificates: tuple[str, ...] = ()
 
     @cached_property
     def combined(self) -> bool:
@@ -118,6 +120,7 @@ class BlockResult:
             "source": self.source,
             "made at": self.made_at or "not stated",
             "bench": (self.bench or {}).get("name", "not stated"),
+            "certificates": "; ".join(self.certificates) or "none of the instruments is stated",
             "local gravity": f"g = {self.g_m_s2!r} m/s^2{self._of_gravity()}: accelerations are in this g",
             "uncertainty": f"u standard, U = k u with k = {self.k:g}; {COMBINED if self.combined else OF_READINGS}",
         }
@@ -139,6 +142,7 @@ class BlockResult:
             "unit_under_test": {"type": self.block_type, "serial": self.serial} if self.block_name else None,
             "made_at": self.made_at or None,
             "bench": dict(self.bench) if self.bench else None,
+            "certificates": list(self.certificates),
             "simulated": self.simulated,
             "unit": self.unit,
             "g_m_s2": self.g_m_s2,

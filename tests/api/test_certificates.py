@@ -2,26 +2,30 @@
 
 import json
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bench as program
+from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import bench_sources
+from bench.analysis.calibration import calibrate as estimate
 from bench.api.provenance import provenance
 from bench.api.source import Request, data_sha256, load_sources
 from bench.base.arrays import ARCSEC
+from bench.files.bench.traceability import corrections_of
 from bench.files.shipped import find_procedure
 from bench.procedure.load import load_procedure
+from bench.readings.corrected import corrected
 from bench.readings.csv import write_csv
 from bench.run.manifest import sha256
 from bench.run.terminal import sentence
 from tests.support.certified_bench import meter_certificate, table_certificate, write_bench
 from tests.support.diagnosis_bench import paper_run
-from tests.support.paper_bench import TRUTH, U0, K
+from tests.support.paper_bench import TRUTH, U0, K, simulate
 
 NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
 GAIN = np.array([100e-6, -40e-6, 0.0])
@@ -173,6 +177,31 @@ def test_simulated_readings_are_corrected_where_the_simulation_had_the_error(sho
             note for note in result.notes if "were simulated without the errors that are stated there" in note
         ]
         assert bool(told) == (accuracy is None)
+
+
+@pytest.mark.slow
+def test_what_is_left_of_the_meters_errors_is_as_large_as_the_budget_says():
+    """400 files: true gains and zeros drawn about the certificates' values, by U and a drift since (seed 17)."""
+    rng = np.random.default_rng(17)
+    bench = program.load_bench(write_bench(Path(), METERS))
+    setup = make_setup(load_procedure(find_procedure("paper")).expand(), bench)
+    day = (datetime(2026, 1, 1, tzinfo=UTC) + timedelta(days=365.25)).date()
+    names = ("voltmeter_gain", "voltmeter_offset")
+    sources = [s for s in bench_sources(bench, setup, day) if s.group == "stand" or s.name in names]
+    budget = make_budget(setup, [s for s in sources if s.u > 0])
+    u = np.sqrt(sum(budget.contribution(name).u ** 2 for name in names))
+    true = simulate(None, 0.0)
+    by = corrections_of(bench)
+    of_diagonal = np.array([0, 4, 8, 9, 10, 11])
+    z = []
+    for _ in range(400):
+        gain, offset_v = -np.array(by.gain), -np.array(by.offset_v)
+        gain = gain + rng.normal(0.0, 3e-6, 3) + rng.uniform(-8e-6, 8e-6, 3)
+        offset_v = offset_v + rng.normal(0.0, 5e-6, 3) + rng.uniform(-12e-6, 12e-6, 3)
+        shown = replace(true, signal=true.signal * (1.0 + gain) + offset_v)
+        found = estimate(corrected(shown, by), setup.model, {}, 9.81, "closed-form")
+        z.append((found.block.vector - TRUTH)[of_diagonal] / u[of_diagonal])
+    assert np.sqrt(np.mean(np.square(z), axis=0)) == pytest.approx(1.0, abs=0.11)  # 3 sigma of 400
 
 
 @pytest.mark.slow

@@ -58,12 +58,22 @@ def test_what_the_result_says_of_its_uncertainty_is_passed_on(bench):
     given = given[0] if isinstance(given, list) else given
     readings = np.array(given["covariance"])
     given.update(covariance=(4 * readings).tolist(), covariance_readings=readings.tolist())
+    given["corrections"] = [
+        {
+            "instrument": "voltmeter.x",
+            "certificate": "C-17",
+            "laboratory": "a lab",
+            "date": "2025-01-02",
+            "expired": True,
+        }
+    ]
     for entry in given["coefficients"].values():
         entry.update(k=2.13, U=2.13 * entry["u"], dof=17.0)
     Path("whole.json").write_text(json.dumps(given), encoding="utf-8")
     status, out, _ = bench("coefficients", "whole.json", "--json", "out.json", "--as", "csv")
     assert status == 0
     assert "combined: the stand" in out
+    assert "certificates: voltmeter.x C-17 (a lab, 2025-01-02, EXPIRED)" in out
     result = json.loads(Path("out.json").read_text(encoding="utf-8"))
     keeps_to("coefficients", result)
     assert result["combined"]
