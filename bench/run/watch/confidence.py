@@ -10,10 +10,11 @@ below `STOP_ALARM`. A run is stopped
 - at the reading after one far beyond chance that several mistakes explained, if it fits itself: then the one
   before was wrong alone.
 
-It is never stopped where a cause may also be an effect of the block or the stand (a small shift), or where none
-is known. Once a run has shown a misfit of that sort, the model lacks something, and what looks like a mistake may
-be more of it: only a misfit `CLEARLY` larger than all those stops the run then. The second way comes by chance in
-`N (FALSE_ALARM / N)**2` of runs of N readings: 4e-7 of 58. So on a good bench fewer than 2e-6 of runs are stopped,
+It is never stopped where a cause may also be an effect of the block or the stand (a small shift, a reading
+before that was off by nobody knows how much), or where none is known. Once a run has shown a misfit of that sort,
+the model lacks something, and what looks like a mistake may be more of it: only a misfit `CLEARLY` larger than all
+those stops the run then. The second way comes by chance in `N (FALSE_ALARM / N)**2` of runs of N readings: 4e-7 of
+58. So on a good bench fewer than 2e-6 of runs are stopped,
 if readings scatter as the bench file says.
 """
 
@@ -70,8 +71,10 @@ class Confidence:
         `off_v` is by how much its signals are off.
         """
         self._undecided = None
-        named = [cause for cause in causes if cause.kind is not Kind.EARLIER or not cause.free]
-        if not named or not all(cause.stops for cause in named):
+        somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
+        named = [cause for cause in causes if cause not in somehow]
+        only_before = somehow and all(cause.kind is Kind.EARLIER for cause in named)
+        if not named or only_before or not all(cause.stops for cause in named):
             self._unexplained_v = max(self._unexplained_v, off_v)
             return False
         if off_v < CLEARLY * self._unexplained_v or self._is_accepted(sighting, causes):
@@ -84,9 +87,10 @@ class Confidence:
 
     def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
         """Tell whether the run is to be stopped for an earlier reading, which these causes explain."""
-        if off_v < CLEARLY * self._unexplained_v:
+        if not causes or not all(cause.stops for cause in causes):
+            self._unexplained_v = max(self._unexplained_v, off_v)
             return False
-        if self._silent or chi2 <= self._sure or not causes or not all(cause.stops for cause in causes):
+        if self._silent or chi2 <= self._sure or off_v < CLEARLY * self._unexplained_v:
             return False
         return self._stopped_for(causes)
 
