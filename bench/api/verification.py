@@ -13,7 +13,7 @@ from rich.table import Table
 from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.conformity import GUARDED, SIMPLE, DecisionRule, Population
-from bench.analysis.calibration.verdict_words import advice, probability_in_words, verdict_line
+from bench.analysis.calibration.verdict_words import advice, optional_probability, verdict_line
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.coefficients import Coefficients, read_coefficients
 from bench.api.errors import Refused
@@ -208,8 +208,8 @@ def _headings(result: Verification) -> list[str]:
 
 def _risks(point: VerificationPoint) -> tuple[str, str]:
     """The risks of a false acceptance and of a false rejection at a point; a dash where it is neither."""
-    accepted = probability_in_words(point.p_outside) if point.passed else "–"
-    return accepted, probability_in_words(1.0 - point.p_outside) if point.rejected else "–"
+    accepted, rejected = point.p_false_accept, point.p_false_reject
+    return optional_probability(accepted), optional_probability(rejected)
 
 
 def verification_of(
