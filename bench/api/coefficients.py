@@ -13,6 +13,7 @@ import numpy as np
 from bench.api.errors import Refused
 from bench.base.arrays import Floats
 from bench.base.form_mistakes import shortened
+from bench.base.regular import read_given
 from bench.base.whole import from_text
 from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS, Block
@@ -51,7 +52,7 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     readings.
     """
     try:
-        data = from_text(path.read_text(encoding="utf-8"))
+        data = from_text(read_given(path).decode())
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:

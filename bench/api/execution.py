@@ -35,7 +35,7 @@ from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.run.history import History, read_history
 from bench.run.log import RunLog
-from bench.run.manifest import Manifest, RecordError
+from bench.run.manifest import Manifest, RecordError, VerdictAsked
 from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
@@ -84,10 +84,11 @@ def new_run(
     operator: str = "",
     unit: str | None = None,
     model: Path | None = None,
+    verdict: VerdictAsked | None = None,
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
 
-    `unit` is the serial number of the block, in place of the bench file's.
+    `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -132,6 +133,8 @@ def new_run(
     }
     if foreign := foreign_drivers(file):
         manifest["devices"] = foreign
+    if verdict:
+        manifest["verdict"] = verdict
     return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
 
 

@@ -137,7 +137,7 @@ def origin_beside(readings: Path) -> Told:
     """Return what the file beside a readings file tells of it; nothing where there is none, or another one."""
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
-    if content is None:
+    if content is None or not readings.is_file():
         return Told()
     try:
         about = _About.model_validate_json(content)

@@ -13,13 +13,15 @@ from rich.table import Table
 from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.conformity import GUARDED, SIMPLE, DecisionRule, Population
-from bench.analysis.calibration.verdict_words import advice, probability_in_words, verdict_line
+from bench.analysis.calibration.verdict_words import advice, optional_probability, verdict_line
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.coefficients import Coefficients, read_coefficients
 from bench.api.errors import Refused
 from bench.api.source import Source
 from bench.base.tables import as_html, as_text, table
 from bench.files.bench.file import BenchFile
+from bench.run.folder import Run
+from bench.run.manifest import VerdictAsked
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,24 @@ class Asked:
     rule: str | None = None
     guard_band: float | None = None
     population: tuple[float, float] | None = None
+
+    @classmethod
+    def of_run(cls, run: Run | None) -> Asked:
+        """Return what was asked for when a run was begun."""
+        recorded = {} if run is None else run.manifest.get("verdict", {})
+        return cls(recorded.get("limit_g"), recorded.get("rule"), recorded.get("guard_band"))
+
+    def recorded(self) -> VerdictAsked:
+        """Return what was asked for as a run keeps it, empty where nothing was. Raises `Refused`."""
+        self.check()
+        record: VerdictAsked = {}
+        if self.limit_g is not None:
+            record["limit_g"] = self.limit_g
+        if self.rule is not None:
+            record["rule"] = DecisionRule.of(self.rule).name
+        if self.guard_band is not None:
+            record["guard_band"] = self.guard_band
+        return record
 
     def check(self) -> None:
         """Refuse, all at once, a limit, a rule, a guard band or a population that is none. Raises `Refused`."""
@@ -63,27 +83,40 @@ class Judgement:
     rule: DecisionRule
     population: Population | None
 
+    def but(self, asked: Asked) -> Judgement:
+        """Return what was asked for, in place of what there is; a guard band goes with its own rule alone."""
+        rule = self.rule
+        if asked.rule is not None or asked.guard_band is not None:
+            name = rule.name if asked.rule is None else DecisionRule.of(asked.rule).name
+            kept = rule.guard_band if name == rule.name != SIMPLE else None
+            rule = DecisionRule.of(name, kept if asked.guard_band is None else asked.guard_band)
+        return Judgement(
+            self.limit_g if asked.limit_g is None else asked.limit_g,
+            rule,
+            self.population if asked.population is None else Population(*asked.population),
+        )
 
-def judgement_of(bench: BenchFile, asked: Asked = NOTHING_ASKED) -> Judgement:
-    """Return by what a verdict is found: what was asked for, else what the bench file says.
 
-    A guard band that the bench file states goes with its own rule alone. Raises `Refused` as `Asked.check`, and
-    `CalibrationError` for a guard band with a rule that has none.
+def judgement_of(bench: BenchFile, *asked: Asked) -> Judgement:
+    """Return by what a verdict is found: what was asked for, the last first, else what the bench file says.
+
+    Raises `Refused` as `Asked.check`, and `CalibrationError` for a guard band with a rule that has none.
     """
-    asked.check()
-    stated = bench.verification
-    own = DecisionRule.of(stated.rule, stated.guard_band)
-    rule = own
-    if asked.rule is not None or asked.guard_band is not None:
-        name = own.name if asked.rule is None else DecisionRule.of(asked.rule).name
-        band = stated.guard_band if asked.guard_band is None and name == own.name else asked.guard_band
-        rule = DecisionRule.of(name, band)
-    population = None
-    if asked.population is not None:
-        population = Population(*asked.population)
-    elif stated.population is not None:
-        population = Population(stated.population.mean, stated.population.standard_deviation)
-    return Judgement(stated.limit if asked.limit_g is None else asked.limit_g, rule, population)
+    stated, known = bench.verification, bench.verification.population
+    judgement = Judgement(
+        stated.limit,
+        DecisionRule.of(stated.rule, stated.guard_band),
+        None if known is None else Population(known.mean, known.standard_deviation),
+    )
+    for one in asked:
+        one.check()
+        judgement = judgement.but(one)
+    return judgement
+
+
+def own_judgement(source: Source, *asked: Asked) -> Judgement:
+    """Return by what the verdict on a source is found: of a run as it was begun, unless more is asked for."""
+    return judgement_of(source.bench, Asked.of_run(source.run), *asked)
 
 
 @dataclass(frozen=True)
@@ -107,7 +140,7 @@ class VerificationResult:
     @property
     def otherwise(self) -> bool:
         """Whether it is judged otherwise than the run's own verdict is: another limit, rule or population."""
-        own, found = judgement_of(self.source.bench), self.verification
+        own, found = own_judgement(self.source), self.verification
         return Judgement(found.limit_g, found.decision, found.population) != own
 
     @property
@@ -175,8 +208,8 @@ def _headings(result: Verification) -> list[str]:
 
 def _risks(point: VerificationPoint) -> tuple[str, str]:
     """The risks of a false acceptance and of a false rejection at a point; a dash where it is neither."""
-    accepted = probability_in_words(point.p_outside) if point.passed else "–"
-    return accepted, probability_in_words(1.0 - point.p_outside) if point.rejected else "–"
+    accepted, rejected = point.p_false_accept, point.p_false_reject
+    return optional_probability(accepted), optional_probability(rejected)
 
 
 def verification_of(
@@ -185,7 +218,7 @@ def verification_of(
     asked: Asked = NOTHING_ASKED,
 ) -> VerificationResult:
     """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings."""
-    judgement = judgement_of(source.bench, asked)
+    judgement = own_judgement(source, asked)
     warnings: tuple[str, ...] = ()
     if coefficients is None:
         coefficients = calibration_of(source)

@@ -21,6 +21,7 @@ _QUOTED: Final = 80
 
 _EXPECTED: Final = {
     "int_parsing": "a whole number",
+    "int_parsing_size": "a whole number",
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "float_parsing": "a number",

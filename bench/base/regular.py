@@ -1,4 +1,7 @@
-"""Reading a file that was named by a person or by another file: a regular one, of a size that can be meant."""
+"""Reading a file that was named by a person or by another file, without waiting for what may never come.
+
+What another file names is a regular file of a size that can be meant; a person may also name a pipe.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ _KINDS: Final = (
     (stat.S_ISCHR, "this is a device, not a file"),
     (stat.S_ISBLK, "this is a device, not a file"),
 )
+_CHUNK: Final = 65_536
 _AT_ONCE: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
@@ -37,6 +41,43 @@ def read_regular(path: Path, most_bytes: int) -> bytes:
         size = f"{most_bytes / MEGABYTE:g} MB"
         raise OSError(errno.EFBIG, f"it has more than {size}", str(path))
     return content
+
+
+def read_given(path: Path) -> bytes:
+    """Return the content of a file that a person named, of the standard input, or of a pipe that is written to.
+
+    A pipe can be read once. Raises `OSError` whose `strerror` says why not: what it is instead, or that nobody
+    writes to it, which is not waited for.
+    """
+    try:
+        about = path.stat()
+    except ValueError:  # a character that no name of a file can have
+        raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
+    if stat.S_ISFIFO(about.st_mode):
+        return _from_pipe(path)
+    if not _is_standard_input(about):
+        _check(path, about.st_mode)
+    return path.read_bytes()
+
+
+def _from_pipe(path: Path) -> bytes:
+    descriptor = os.open(path, _AT_ONCE)
+    with os.fdopen(descriptor, "rb", buffering=0) as pipe:
+        try:
+            begun = os.read(descriptor, _CHUNK)
+        except BlockingIOError:  # somebody has it open and writes in their own time
+            begun = None
+        if begun == b"":
+            raise OSError(errno.EPIPE, "this is a pipe to which nobody writes", str(path))
+        os.set_blocking(descriptor, True)
+        return (begun or b"") + pipe.read()
+
+
+def _is_standard_input(about: os.stat_result) -> bool:
+    try:
+        return os.path.samestat(about, os.fstat(0))
+    except OSError:  # there is none
+        return False
 
 
 def _check(path: Path, mode: int) -> None:

@@ -12,6 +12,7 @@ import typer
 
 from bench.api.errors import Refused
 from bench.base.numbers import fixed, places, probability
+from bench.base.regular import read_given
 from bench.cli import printing
 from bench.cli.options import (
     RUNS,
@@ -107,7 +108,7 @@ def _from_json(path: Path) -> list[Snapshot]:
     from bench.base.whole import from_text
 
     try:
-        data = from_text(path.read_text(encoding="utf-8"))
+        data = from_text(read_given(path).decode())
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:

@@ -119,11 +119,11 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
     import numpy as np
 
     from bench.analysis.calibration import verify
-    from bench.api.verification import judgement_of
+    from bench.api.verification import own_judgement
 
     rows = source.readings.verification()
     known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
-    by = judgement_of(source.bench)
+    by = own_judgement(source)
     judged = []
     for t in np.unique(rows.temperature_c[known]):
         own = source.readings.select(

@@ -20,22 +20,28 @@ def import_(
     runs: RunsOption = RUNS,
 ) -> int:
     """Make a run of a readings file that was measured elsewhere."""
+    from bench.api.errors import Refused
     from bench.api.origin import SUFFIX, origin_beside
     from bench.api.provenance import versions
     from bench.api.taken import bench_of
+    from bench.base.regular import read_given
     from bench.readings.csv import read_csv
     from bench.run.folder import BENCH, IMPORTED, Run, checked_name
     from bench.run.manifest import Manifest
     from bench.run.record import Record
     from drivers.clock import utc_now
 
+    try:
+        content = read_given(file)  # once: a pipe has nothing more to give
+    except OSError as error:
+        raise Refused(f"{file}: cannot be read ({error.strerror}); check the name") from error
     told = origin_beside(file)
     taken, notes = bench_of(str(file), None, told, bench)
     on = printing.console()
     printing.bench_file(taken, None)
     printing.notes_on(on, notes)
     path = Path(taken.where)
-    readings = read_csv(file, taken.file.installation_models())
+    readings = read_csv(file, taken.file.installation_models(), content=content)
     run = Run(runs / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
     manifest: Manifest = {
         "name": run.name,
@@ -48,7 +54,7 @@ def import_(
     }
     if told.origin is not None:
         manifest["dry_run"] = told.origin.simulated
-    inputs = {IMPORTED: file.read_bytes(), BENCH: path.read_bytes()}
+    inputs = {IMPORTED: content, BENCH: path.read_bytes()}
     if told.origin is not None:
         inputs[IMPORTED + SUFFIX] = file.with_name(file.name + SUFFIX).read_bytes()
     record = Record.create(run.folder, manifest, inputs, utc_now)

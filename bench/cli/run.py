@@ -12,9 +12,12 @@ from bench.cli import printing
 from bench.cli.options import (
     RUNS,
     BenchOption,
+    GuardBandOption,
     JsonOption,
+    LimitOption,
     ModelOption,
     ProcedureArgument,
+    RuleOption,
     RunsOption,
     WireLogOption,
     app,
@@ -23,6 +26,7 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from bench.api.source import Source
     from bench.run.folder import Run
+    from bench.run.manifest import VerdictAsked
 
 
 @app.command(epilog="Example: bench run calibration --bench my-bench.yaml --name unit-17")
@@ -37,6 +41,9 @@ def run(
         str | None,
         typer.Option(metavar="SERIAL", help="Serial number of the block, in place of the bench file's."),
     ] = None,
+    limit: LimitOption = None,
+    rule: RuleOption = None,
+    guard_band: GuardBandOption = None,
     model: ModelOption = None,
     wire_log: WireLogOption = None,
     follow: Annotated[
@@ -59,6 +66,15 @@ def run(
     if model is not None and not dry_run:
         raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
 
+    verdict: VerdictAsked | None = None
+    if (limit, rule, guard_band) != (None, None, None):
+        from bench.api.taken import find_bench_file
+        from bench.api.verification import Asked, judgement_of
+
+        asked = Asked(limit, rule, guard_band)
+        judgement_of(find_bench_file(bench).file, asked)
+        verdict = asked.recorded()
+
     def carried_out(procedure: str, name: str | None, seed: int) -> tuple[Run, int]:
         from bench.api.execution import carry_out, new_run
         from bench.run.folder import Run
@@ -75,6 +91,7 @@ def run(
             operator=operator,
             unit=unit,
             model=model,
+            verdict=verdict,
         )
         out = printing.console(json=json)
         if json != "-":

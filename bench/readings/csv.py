@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.base.regular import read_given
 from bench.readings.cells import as_cell, of_cell
 from bench.readings.table import (
     FREE,
@@ -58,14 +59,16 @@ class _BadCell(ValueError):
         self.column = column
 
 
-def read_csv(path: Path, installations: Collection[str], *, skip_bad_rows: bool = False) -> Readings:
-    """Read a readings file.
+def read_csv(
+    path: Path, installations: Collection[str], *, skip_bad_rows: bool = False, content: bytes | None = None
+) -> Readings:
+    """Read a readings file, or what was read of it already, `content`.
 
     `installations` are the labels that the bench file knows; V, F, S and R are always known.
     Raises `ReadingsError` with file, line, column and what was expected for every bad row (the first 20,
     then a count); with `skip_bad_rows` they are left out and listed in `Readings.skipped`.
     """
-    header, body = split_table(path, _example_header())
+    header, body = split_table(path, _example_header(), content)
     numbers = {
         *REQUIRED,
         *OPTIONAL,
@@ -149,15 +152,16 @@ def _read(
     return replace(table, verification_missing=verification_missing)
 
 
-def split_table(path: Path, example: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def split_table(
+    path: Path, example: str, content: bytes | None = None
+) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Return the header in small letters, and the rows that are not empty, each with its line number.
 
-    `example` is a header that the file could have. Raises `ReadingsError` when the file is no CSV table.
+    `example` is a header that the file could have, `content` what was read of it already. Raises `ReadingsError`
+    when the file is no CSV table.
     """
     try:
-        # newline="": line ends inside quoted cells stay as they are
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            text = file.read()
+        text = (read_given(path) if content is None else content).decode("utf-8-sig")
     except OSError as error:
         raise ReadingsError(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except UnicodeDecodeError as error:

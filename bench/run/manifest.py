@@ -19,12 +19,21 @@ class UnitUnderTest(TypedDict):
     serial: str
 
 
+class VerdictAsked(TypedDict, total=False):
+    """How the run's verdict is found, where that was asked for in place of the bench file's."""
+
+    limit_g: float
+    rule: str
+    guard_band: float
+
+
 class Manifest(TypedDict, total=False):
     """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
 
     `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
     `readings` that has, and nothing of a procedure. `bench_why` says why that bench file was taken. `devices` says
-    where those drivers came from that are none of the bench's own, and is left out where there are none.
+    where those drivers came from that are none of the bench's own, `verdict` how it is judged in place of the bench
+    file's; both are left out where there is nothing.
     """
 
     format: int
@@ -42,6 +51,7 @@ class Manifest(TypedDict, total=False):
     unit_under_test: UnitUnderTest
     versions: dict[str, str]
     devices: dict[str, str]
+    verdict: VerdictAsked
     files: dict[str, str]
 
 

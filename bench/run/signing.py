@@ -12,6 +12,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from bench.base.regular import read_given
 from bench.run.manifest import RecordError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKe
     """
     serialization, ed25519 = _cryptography()
     try:
-        pem = file.read_bytes()
+        pem = read_given(file)
         mode = file.stat().st_mode
     except OSError as error:
         raise RecordError(f"{file}: cannot be read ({error.strerror})") from error

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
+from bench.base.regular import read_given
 from bench.run.manifest import RecordError
 from bench.run.signing import MISSING
 
@@ -95,7 +96,7 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
     if authority is None:
         return TimeStamp(told.gen_time, trusted=False)
     try:
-        roots = x509.load_pem_x509_certificates(authority.read_bytes())
+        roots = x509.load_pem_x509_certificates(read_given(authority))
     except OSError as error:
         raise NoTimeStamp(f"{authority}: cannot be read ({error.strerror})") from error
     except ValueError as error:

@@ -4,11 +4,13 @@ import io
 import json
 import os
 import socket
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from rich.text import Text
 
-from bench.base.regular import read_regular
+from bench.base.regular import read_given, read_regular
 from bench.base.tables import Screen, as_html, table
 from bench.base.visible import in_json, visible
 from bench.base.whole import from_text, to_text
@@ -104,3 +106,31 @@ def test_only_regular_files_are_read_and_nothing_is_waited_for(tmp_path):
     assert read_regular(tmp_path / "file", 10) == b"0123456789"
     with pytest.raises(OSError, match="more than"):
         read_regular(tmp_path / "file", 9)
+
+
+def test_a_pipe_is_read_where_somebody_writes_to_it_and_not_waited_for_where_nobody_does(tmp_path):
+    """A writer that has ended, one that has not begun, none at all."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match="to which nobody writes"):
+        read_given(pipe)
+    reader, writer = os.pipe()
+    os.write(writer, b"all of it")
+    os.close(writer)
+    assert read_given(Path(f"/dev/fd/{reader}")) == b"all of it"
+    os.close(reader)
+    end = os.open(pipe, os.O_RDWR)  # a writer that has it open
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(read_given, pipe)
+        os.write(end, b"x" * 100_000)
+        os.close(end)
+        assert found.result() == b"x" * 100_000
+
+
+def test_what_a_person_names_is_a_file_and_no_folder_or_device(tmp_path):
+    with pytest.raises(OSError, match="this is a folder"):
+        read_given(tmp_path)
+    with pytest.raises(OSError, match="this is a device"):
+        read_given(Path("/dev/zero"))
+    with pytest.raises(FileNotFoundError):
+        read_given(tmp_path / "a\0b")

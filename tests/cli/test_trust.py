@@ -1,7 +1,9 @@
 """What must never be believed silently: missing points, another gravity, swapped wires, damaged runs."""
 
 import json
+import os
 import re
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +118,33 @@ def test_one_damaged_run_does_not_hide_the_others(bench, measured, manifest):
     assert "broken" in out
     assert bench("calibrate", "nosuch")[0] == 2
     assert "no unfinished run" in bench("resume")[2] or "broken" in bench("runs")[1]
+
+
+def test_readings_that_come_through_a_pipe_are_kept_whole(bench, measured):
+    write_csv(measured, Path("r.csv"))
+    reader, writer = os.pipe()
+    with ThreadPoolExecutor(1) as pool, os.fdopen(writer, "wb") as into:
+        pool.submit(lambda: (into.write(Path("r.csv").read_bytes()), into.close()))
+        assert bench("import", f"/dev/fd/{reader}", "--name", "piped")[0] == 0
+    os.close(reader)
+    assert Path("runs/piped/readings.csv").read_bytes() == Path("r.csv").read_bytes()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_a_pipe_to_which_nobody_writes_is_not_waited_for(bench, measured):
+    write_csv(measured, Path("r.csv"))
+    os.mkfifo("pipe.csv")
+    for command in (
+        ("import", "pipe.csv"),
+        ("calibrate", "pipe.csv"),
+        ("stability", "pipe.csv"),
+        ("verify", "r.csv", "--coefficients", "pipe.csv"),
+        ("compare", "pipe.csv", "pipe.csv"),
+    ):
+        status, _, err = bench(*command)
+        assert status == 2, command
+        assert len(err.splitlines()) == 1
+        assert "pipe.csv: cannot be read (this is a pipe to which nobody writes)" in err or "no such" in err
 
 
 def test_an_imported_run_is_not_taken_for_an_interrupted_one(bench, measured):

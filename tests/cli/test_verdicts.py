@@ -30,7 +30,8 @@ def unit(bench):
 @pytest.fixture
 def without_figures(monkeypatch):
     """Drawing them takes ten times as long as all else."""
-    for name in ("residuals_by_angle", "residuals_in_order", "correlations", "verification_points"):
+    drawn = ("residuals_by_angle", "residuals_in_order", "correlations", "compared_coefficients")
+    for name in (*drawn, "verification_points"):
         monkeypatch.setattr(plots, name, lambda *what: "<svg></svg>")
 
 
@@ -114,6 +115,39 @@ def test_run_verify_report_and_list_tell_one_verdict(bench, without_figures):
     assert Path("runs/one/report.html").read_text(encoding="utf-8") == page
     assert bench("verify", "one", "--rule", "simple")[0] == 0
     assert json.loads(Path("runs/one/verify.json").read_text(encoding="utf-8")) == own
+
+
+@pytest.mark.slow
+def test_a_run_is_judged_as_it_was_begun(bench, without_figures):
+    """What `run` is asked goes into the record, and is the run's own; another rule is a what-if."""
+    run = (
+        "run",
+        "quick",
+        "--dry-run",
+        "--name",
+        "one",
+        "--seed",
+        "3",
+        "--limit",
+        "4e-4",
+        "--rule",
+        "guarded",
+    )
+    status, out, _ = bench(*run, "--guard-band", "3")
+    own = json.loads(Path("runs/one/verify.json").read_text(encoding="utf-8"))
+    assert (status, own["limit_g"], own["rule"], own["guard_band"]) == (1, 4e-4, "guarded", 3.0)
+    assert "limit 400 µg, rule: guarded (w = 3 U)" in out
+    assert "chain of hashes whole" in bench("show", "one", "--verify")[1]
+    assert told(bench, "verify", "one", "--json", "-") == (1, own)
+    assert not Path("runs/one/what-if").exists()
+    assert told(bench, "verify", "one", "--rule", "simple", "--json", "-")[1]["limit_g"] == 4e-4
+    assert Path("runs/one/what-if/verify.json").exists()
+
+
+def test_a_run_with_a_rule_that_is_none_is_not_begun(bench):
+    for options in (("--rule", "kind"), ("--guard-band", "0.5"), ("--limit", "0")):
+        assert bench("run", "quick", "--dry-run", "--name", "one", *options)[0] == 2
+        assert not Path("runs/one").exists()
 
 
 @pytest.mark.slow

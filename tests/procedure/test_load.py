@@ -146,6 +146,18 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes):
         assert any(mistake.startswith(start) for mistake in told), (start, told)
 
 
+@pytest.mark.parametrize("written", ["ten", "9" * 5000, "0x10", "1e400", "[1, 2]", "{a: 1}"])
+@pytest.mark.parametrize("key", ["samples", "nplc"])
+def test_what_is_no_number_is_told_in_our_words_with_what_was_written(mistakes, key, written):
+    (told,) = mistakes(
+        f"  - installation: {{label: 1, steps: [{{turn: {{angles: [0 deg], steps: [{{read: {{{key}: "
+        f"{written}}}}}]}}}}]}}\n"
+    )
+    assert "number, got" in told or told.endswith("got '" + "9" * 80 + "…'")
+    assert "nput should" not in told
+    assert "parse" not in told
+
+
 def test_an_unknown_key_of_nested_steps_is_told_with_the_known_ones(mistakes):
     told = mistakes(
         """\

@@ -1,0 +1,160 @@
+"""Is a verdict as often wrong as it says? Simulated calibrations and verifications with known truth.
+
+    python -m benchmarks.verdict_risk --runs 4000 --joint 1500 --seed 1
+
+Each run is the paper's procedure on a stand whose errors are drawn from the sizes that the fit is told (the
+limits of the paper as three sigma; voltmeter noise `--noise`, V, of which the fit is told nothing), then readings
+at the verification points. At each of them the modulus is off by a true error of its own, drawn evenly over the
+limit and four u beyond it: before the measurement nothing is known of it, and after it, it is distributed as
+JCGM 106 has it. The program calibrates and verifies as ever; geometry and truth are this benchmark's own. By steps
+of the probability of a false acceptance (of points accepted) and of a false rejection (of points rejected): its
+mean as stated, and how often the decision was wrong. Promised: within 10 % or 0.002, whichever is more, for risks
+of 0.5 to 50 %; three standard errors of what is counted aside (runs are independent, points of a run are not).
+`--joint`: the same for the four points of a pass together, accepted all. Exit status 1 when a promise is broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.calibration import calibrate, verify
+from bench.model import ForwardModel
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.readings.table import Readings, make_readings
+from benchmarks.blind_trial.geometry import ARCSEC, specific_force
+
+Floats = NDArray[np.float64]
+
+K: Final = np.array(
+    [[-2.177087, -0.018243, 0.025027], [0.026542, -2.139892, 0.032755], [0.006754, 0.006026, -2.144367]]
+)
+U0: Final = np.array([0.071469, -0.196485, -0.411789])
+STAND_U: Final = {
+    "axis_tilt": 5 / 3 * ARCSEC,
+    "zero_offset": 5 / 3 * ARCSEC,
+    "mounting_error": 30 * ARCSEC,
+    "setting_error": 10 / 3 * ARCSEC,
+    "voltmeter_error": 1e-4,
+}
+LIMIT_G: Final = 3e-4
+MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+TURN: Final = np.radians(np.arange(9) * 45.0)
+CHECKED: Final = np.radians([45.0, 135.0, 225.0, 315.0])
+CHECKS: Final = 60
+"""So many passes over the verification points."""
+BEYOND_G: Final = 2.5e-4
+"""True errors reach so far beyond the limit: four u of a reading there."""
+STEPS: Final = (0.005, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
+
+
+@dataclass(frozen=True)
+class Decided:
+    """Decisions of one run: what was stated as the probability that it is wrong, and whether it was."""
+
+    stated: Floats
+    wrong: NDArray[np.bool_]
+
+
+def simulate(rng: np.random.Generator, noise: float) -> tuple[Readings, Floats]:
+    """Return the readings of a run, and the true errors of the modulus at its verification points, g."""
+    rows, force = [], []
+    tilt, offset = (rng.normal(0, STAND_U[name]) for name in ("axis_tilt", "zero_offset"))
+    for label in ("1", "2"):
+        mounting = rng.normal(0, STAND_U["mounting_error"])
+        for number in (1, 2, 3):
+            settings = TURN + offset + rng.normal(0, STAND_U["setting_error"], 9)
+            force.append(specific_force(np.array([label] * 9), settings, tilt, mounting))
+            rows += [(label, number, point + 1, TURN[point]) for point in range(9)]
+    errors = rng.uniform(-LIMIT_G - BEYOND_G, LIMIT_G + BEYOND_G, (CHECKS, 4))
+    for number in range(CHECKS):
+        exact = specific_force(np.array(["V"] * 4), CHECKED + offset, tilt)
+        force.append(exact * (1.0 + errors[number, :, None]))
+        rows += [("V", number + 1, point + 1, CHECKED[point]) for point in range(4)]
+    signal = np.concatenate(force) @ K.T + U0
+    signal += rng.normal(0, noise, signal.shape)
+    labels, numbers, points, angles = zip(*rows, strict=True)
+    readings = make_readings(list(labels), list(numbers), list(points), np.array(angles), signal)
+    return readings, errors.ravel()
+
+
+def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Decided, Decided]:
+    """Return the decisions of a run: points accepted, points rejected, and up to `joint` passes accepted whole."""
+    readings, errors = simulate(np.random.default_rng([seed, number]), noise)
+    found = calibrate(readings, MODEL, STAND_U, 9.81)
+    told = found.block, found.covariance, found.noise.widened().reading, LIMIT_G
+    points = [point.to_json() for point in verify(readings, *told).points]
+    bad = np.abs(errors) > LIMIT_G
+    accepted = np.array([p["p_false_accept"] for p in points], dtype=np.float64)
+    rejected = np.array([p["p_false_reject"] for p in points], dtype=np.float64)
+    taken, refused = np.isfinite(accepted), np.isfinite(rejected)
+    whole: list[tuple[float, bool]] = []
+    for number_of_pass, first in enumerate(range(0, 4 * CHECKS, 4), start=1):
+        if len(whole) < joint and taken[first : first + 4].all():
+            own = readings.select((readings.installation == "V") & (readings.pass_number == number_of_pass))
+            whole.append((verify(own, *told).p_outside, bool(bad[first : first + 4].any())))
+    together = Decided(np.array([p for p, _ in whole]), np.array([b for _, b in whole], dtype=np.bool_))
+    return (Decided(accepted[taken], bad[taken]), Decided(rejected[refused], ~bad[refused]), together)
+
+
+def steps(runs: list[Decided]) -> Iterator[tuple[float, float, int, float, float, float]]:
+    """Yield for each step of the stated risk: its ends, decisions, mean stated, part wrong, standard error."""
+    for low, high in pairwise(STEPS):
+        chosen = [(one.stated >= low) & (one.stated < high) for one in runs]
+        count = sum(int(c.sum()) for c in chosen)
+        if not count:
+            continue
+        stated = sum(float(one.stated[c].sum()) for one, c in zip(runs, chosen, strict=True)) / count
+        wrong = sum(int(one.wrong[c].sum()) for one, c in zip(runs, chosen, strict=True)) / count
+        off = [float((one.wrong[c] - one.stated[c]).sum()) for one, c in zip(runs, chosen, strict=True)]
+        yield low, high, count, stated, wrong, float(np.sqrt(np.sum(np.square(off)))) / count
+
+
+def compared(what: str, runs: list[Decided]) -> list[str]:
+    """Print stated and counted risks; return what is further off than promised."""
+    broken = []
+    print(f"{what}\n{'stated risk':>14}{'decisions':>11}{'stated':>9}{'wrong':>9}{'±':>9}{'promised':>10}")
+    for low, high, count, stated, wrong, error in steps(runs):
+        allowed = max(0.1 * wrong, 0.002)
+        print(f"{low:7.3f}–{high:<6.3f}{count:11d}{stated:9.4f}{wrong:9.4f}{error:9.4f}{allowed:10.4f}")
+        if abs(stated - wrong) > allowed + 3 * error:
+            broken.append(f"{what}: stated {stated:.4f}, wrong {wrong:.4f} in {low:g}–{high:g}")
+    return broken
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--runs", type=int, default=4000)
+    parser.add_argument("--joint", type=int, default=1500, help="verdicts on four points together")
+    parser.add_argument("--noise", type=float, default=1e-4)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args(arguments)
+    begun = time.perf_counter()
+    found: tuple[list[Decided], list[Decided], list[Decided]] = ([], [], [])
+    left = given.joint
+    for number in range(given.runs):
+        decided = run(given.seed, number, given.noise, min(left, 2))
+        left -= len(decided[2].stated)
+        for of_all, one in zip(found, decided, strict=True):
+            of_all.append(one)
+    names = ("false acceptance, points", "false rejection, points", "false acceptance, four points together")
+    broken = [line for name, runs in zip(names, found, strict=True) for line in compared(name, runs)]
+    print(
+        f"{given.runs} runs, seed {given.seed}, noise {given.noise:g} V: {time.perf_counter() - begun:.0f} s"
+    )
+    for line in broken:
+        print(f"BROKEN: {line}")
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
