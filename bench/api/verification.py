@@ -13,7 +13,12 @@ from rich.table import Table
 from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.conformity import GUARDED, SIMPLE, DecisionRule, Population
-from bench.analysis.calibration.verdict_words import advice, optional_probability, verdict_line
+from bench.analysis.calibration.verdict_words import (
+    advice,
+    global_risk_in_words,
+    optional_probability,
+    verdict_line,
+)
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.coefficients import Coefficients, read_coefficients
 from bench.api.errors import Refused
@@ -149,15 +154,20 @@ class VerificationResult:
         return self.source.taken.words
 
     @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the statements mean, what can be done, and what the rule does to all blocks."""
+        return (*advice(self.verification), *global_risk_in_words(self.verification))
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the result should know, a sentence each."""
-        return (*self.source.readings.notes, *self.source.readings.skipped, *advice(self.verification))
+        return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench verify --json` writes it."""
         return {
             **self.verification.to_json(),
-            "notes": list(advice(self.verification)),
+            "notes": list(self.sentences),
             "bench": self.source.taken.to_dict(),
             "corrections": self.source.traced.to_json(),
         }

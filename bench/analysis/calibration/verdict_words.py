@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Final
 
 from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
@@ -116,15 +115,17 @@ def advice(result: Verification) -> tuple[str, ...]:
             f"{result.missing} verification points are missing, and nothing is accepted without them: "
             "measure them, too"
         )
-    return (*found, *_global_risk_in_words(result))
+    return tuple(found)
 
 
-def _global_risk_in_words(result: Verification) -> Iterator[str]:
+def global_risk_in_words(result: Verification) -> tuple[str, ...]:
+    """Return what the rule does to all blocks of the stated population, nothing where none is stated."""
     risk, population = result.global_risk, result.population
-    if risk is not None and population is not None:
-        yield (
-            f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
-            f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
-            f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
-            f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U)"
-        )
+    if risk is None or population is None:
+        return ()
+    return (
+        f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
+        f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
+        f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
+        f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U)",
+    )

@@ -7,7 +7,7 @@ import pytest
 
 from bench.analysis.calibration import CalibrationError, calibrate, verify
 from bench.analysis.calibration.conformity import Population, global_risk
-from bench.analysis.calibration.verdict_words import advice, verdict_line
+from bench.analysis.calibration.verdict_words import global_risk_in_words, verdict_line
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
@@ -240,4 +240,6 @@ def test_a_global_risk_only_of_a_stated_population(covariance):
     expected = global_risk(population, worst.u, 3e-4, 3e-4 - worst.U)
     told = result.to_json()["global_risk"]
     assert (told["false_accept"], told["false_reject"]) == (expected.false_accept, expected.false_reject)
-    assert any("standard deviation 100 µg, as stated" in sentence for sentence in advice(result))
+    assert any(
+        "standard deviation 100 µg, as stated" in sentence for sentence in global_risk_in_words(result)
+    )
