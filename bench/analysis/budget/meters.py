@@ -22,7 +22,7 @@ UNKNOWN_AGE: Final = 1.0
 
 USUAL_ACCURACY: Final = (20e-6, 5e-6)
 USUAL_LINEARITY: Final = (2e-6, 1e-6)
-"""Limits of 90 days of a meter of 6½ digits on 10 V, parts of the reading and of the range, where a recorded run had
+"""Limits of 90 days of a meter of 6½ digits on 10 V, parts of reading and of range, where a recorded run had
 one that nobody here knows: those of a 34401A, which the others here keep, too."""
 
 _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV")}
