@@ -13,7 +13,12 @@ from rich.table import Table
 from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.conformity import GUARDED, SIMPLE, DecisionRule, Population
-from bench.analysis.calibration.verdict_words import advice, probability_in_words, verdict_line
+from bench.analysis.calibration.verdict_words import (
+    advice,
+    global_risk_in_words,
+    optional_probability,
+    verdict_line,
+)
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.coefficients import Coefficients, read_coefficients
 from bench.api.errors import Refused
@@ -149,15 +154,20 @@ class VerificationResult:
         return self.source.taken.words
 
     @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the statements mean, what can be done, and what the rule does to all blocks."""
+        return (*advice(self.verification), *global_risk_in_words(self.verification))
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the result should know, a sentence each."""
-        return (*self.source.readings.notes, *self.source.readings.skipped, *advice(self.verification))
+        return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench verify --json` writes it."""
         return {
             **self.verification.to_json(),
-            "notes": list(advice(self.verification)),
+            "notes": list(self.sentences),
             "bench": self.source.taken.to_dict(),
             "corrections": self.source.traced.to_json(),
         }
@@ -208,8 +218,8 @@ def _headings(result: Verification) -> list[str]:
 
 def _risks(point: VerificationPoint) -> tuple[str, str]:
     """The risks of a false acceptance and of a false rejection at a point; a dash where it is neither."""
-    accepted = probability_in_words(point.p_outside) if point.passed else "–"
-    return accepted, probability_in_words(1.0 - point.p_outside) if point.rejected else "–"
+    accepted, rejected = point.p_false_accept, point.p_false_reject
+    return optional_probability(accepted), optional_probability(rejected)
 
 
 def verification_of(

@@ -42,7 +42,6 @@ def report(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the report of a run: one HTML page."""
-    from bench.analysis.calibration.verdict_words import advice
     from bench.api.calibration import calibration_of
     from bench.api.errors import Refused
     from bench.api.source import Request, load_sources
@@ -62,7 +61,7 @@ def report(
             f"{error.filename}: the page cannot be written ({error.strerror}); choose another place with --out DIR"
         ) from error
     if verdict is not None:
-        printing.notes_on(on, advice(verdict.verification))
+        printing.notes_on(on, verdict.sentences)
         on.print(verdict.verdict(), style="bold")
     bench_taken = loaded.taken.to_dict()
     written = {"report": str(page), "bench": bench_taken, "verification": verdict and verdict.to_dict()}

@@ -7,6 +7,7 @@ from typing import Any, Final
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
 from bench.base.units import SizeRad
+from bench.devices.certificates import VoltmeterCertificate
 from bench.devices.chambers import ChamberForm, SizeK
 from bench.devices.device import DeviceSection, Role
 from bench.devices.heads import HeadForm
@@ -29,6 +30,11 @@ class UnknownVoltmeter(VoltmeterForm):
     @classmethod
     def _of_the_meter(cls, range_v: float, info: ValidationInfo) -> float:
         return range_v
+
+    @field_validator("certificate")
+    @classmethod
+    def _of_its_ranges(cls, certificate: VoltmeterCertificate | None) -> VoltmeterCertificate | None:
+        return certificate
 
     @property
     def channels(self) -> tuple[Channel, ...]:

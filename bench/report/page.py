@@ -11,7 +11,13 @@ from markupsafe import Markup
 
 from bench.analysis.calibration import Calibration, LackOfFit, Verification
 from bench.analysis.calibration.conformity import Statement
-from bench.analysis.calibration.verdict_words import advice, headline, risk_in_words, rule_in_words
+from bench.analysis.calibration.verdict_words import (
+    advice,
+    global_risk_in_words,
+    headline,
+    risk_in_words,
+    rule_in_words,
+)
 from bench.base.numbers import fixed, places, probability, scale_for, two_digits
 from bench.report import plots, tables
 from bench.report.content import ReportContent
@@ -89,6 +95,7 @@ class VerdictInWords:
     points: int = 0
     outside: int = 0
     advice: tuple[str, ...] = ()
+    of_all: tuple[str, ...] = ()
 
 
 def verdict(verification: Verification | None) -> VerdictInWords:
@@ -98,7 +105,7 @@ def verdict(verification: Verification | None) -> VerdictInWords:
     worst = verification.worst
     scale = scale_for(verification.limit_g, "g")
     decimals = max(places(worst.u / scale.size), 0)
-    mark = "✓" if verification.passed else "✗"
+    mark = "✓" if verification.passed else "✗" if verification.rejected else "–"
     return VerdictInWords(
         state=STATES[verification.statement],
         word=f"{mark} Verification{_of_a_verification(headline(verification))}",
@@ -116,6 +123,7 @@ def verdict(verification: Verification | None) -> VerdictInWords:
         points=len(verification.points),
         outside=sum(abs(p.delta_g) > verification.limit_g for p in verification.points),
         advice=advice(verification),
+        of_all=global_risk_in_words(verification),
     )
 
 

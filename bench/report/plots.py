@@ -124,6 +124,10 @@ def verification_points(verification: Verification) -> str:
         axes = figure.subplots()
         for sign in (1.0, -1.0):
             axes.axhline(sign * limit, color=VERMILION, linestyle=(0, (6, 3)), linewidth=1.1)
+        accepted = min(p.accepted_up_to for p in points) / scale.size
+        if 0.0 < accepted < limit:
+            for sign in (1.0, -1.0):
+                axes.axhline(sign * accepted, color=GREY, linestyle=":", linewidth=1.1)
         axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
         axes.axhline(0.0, color=GREY, linewidth=0.7)
         for passed, marker, colour, name in (

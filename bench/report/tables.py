@@ -12,7 +12,7 @@ from markupsafe import Markup
 from bench.analysis.budget.propagation import correlation_of
 from bench.analysis.calibration import Calibration, Estimate, Noise, Verification
 from bench.analysis.calibration.design import SYMBOLS
-from bench.analysis.calibration.verdict_words import probability_in_words
+from bench.analysis.calibration.verdict_words import optional_probability
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
@@ -226,8 +226,8 @@ def verification(result: Verification) -> list[Row]:
                     two_digits(p.u / scale.size),
                     two_digits(p.U / scale.size),
                     f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
-                    probability_in_words(p.p_outside) if p.passed else "–",
-                    probability_in_words(1.0 - p.p_outside) if p.rejected else "–",
+                    optional_probability(p.p_false_accept),
+                    optional_probability(p.p_false_reject),
                     str(p.statement),
                 ),
                 bad=not p.passed,

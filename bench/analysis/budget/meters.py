@@ -11,13 +11,19 @@ import numpy as np
 
 from bench.analysis.budget.propagation import effective_dof
 from bench.devices.certificates import Certificate, CertifiedGain, CertifiedOffset
-from bench.devices.voltmeters import VoltmeterForm
+from bench.devices.unknown import UnknownVoltmeter
+from bench.devices.voltmeters import DAYS_90, VoltmeterForm
 from bench.model import Distribution
 
 Quantity = Literal["voltmeter_gain", "voltmeter_offset"]
 
 UNKNOWN_AGE: Final = 1.0
 """Years since the calibration where nobody says of which day the readings are, nor until when it counts."""
+
+USUAL_ACCURACY: Final = (20e-6, 5e-6)
+USUAL_LINEARITY: Final = (2e-6, 1e-6)
+"""Limits of 90 days of a meter of 6½ digits on 10 V, parts of reading and of range, where a recorded run had
+one that nobody here knows: those of a 34401A, which the others here keep, too."""
 
 _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV")}
 
@@ -44,8 +50,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
         found = values.gain if quantity == "voltmeter_gain" else values.offset
     if meter.certificate is None or found is None:
         limit = _limit(quantity, meter, 0.0)
-        origin = f"{meter.driver}, limits of 90 days on {meter.range:g} V"
-        return Size(Distribution(limit, "rectangular"), origin, prior=True)
+        return Size(Distribution(limit, "rectangular"), _data_sheet(meter), prior=True)
     years = _age(meter.certificate, day)
     drift = _limit(quantity, meter, years) if found.drift is None else found.drift * years
     parts = found.U / found.k, drift / math.sqrt(3.0)
@@ -61,14 +66,22 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:
     """Return the limit of a meter's nonlinearity for signals up to `largest_v`, as its maker states it."""
-    of_reading, of_range = meter.kind.linearity
+    of_reading, of_range = USUAL_LINEARITY if isinstance(meter, UnknownVoltmeter) else meter.kind.linearity
     limit = of_reading * largest_v + of_range * meter.range
-    origin = f"{meter.driver}, limits of 90 days on {meter.range:g} V"
-    return Size(Distribution(limit, "rectangular"), origin, prior=True)
+    return Size(Distribution(limit, "rectangular"), _data_sheet(meter), prior=True)
+
+
+def _data_sheet(meter: VoltmeterForm) -> str:
+    if isinstance(meter, UnknownVoltmeter):
+        return f"the driver {meter.driver} is not here: as of a meter of 6½ digits on {meter.range:g} V"
+    return f"{meter.driver}, limits of 90 days on {meter.range:g} V"
 
 
 def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:
-    of_reading, of_range = meter.kind.limits_after(years, meter.range)
+    if isinstance(meter, UnknownVoltmeter):
+        of_reading, of_range = (part * max(1.0, years / DAYS_90) for part in USUAL_ACCURACY)
+    else:
+        of_reading, of_range = meter.kind.limits_after(years, meter.range)
     return of_reading if quantity == "voltmeter_gain" else of_range * meter.range
 
 

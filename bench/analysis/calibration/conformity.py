@@ -97,6 +97,14 @@ class DecisionRule:
             return limit - max(1.0, self.guard_band) * expanded
         return limit if self.name == SIMPLE else limit - self.guard_band * expanded
 
+    def rejects(self, statement: Statement) -> bool:
+        """Whether a value with this statement that is not accepted is rejected.
+
+        What nothing can be said of is not, nor is a conditional pass under the non-binary rule.
+        """
+        left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
+        return statement is not Statement.INCONCLUSIVE and not left_open
+
     def statement(self, value: float, limit: float, expanded: float) -> Statement:
         """Return the statement on a measured value.
 

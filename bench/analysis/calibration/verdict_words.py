@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Final
 
 from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
@@ -26,7 +25,8 @@ def headline(result: Verification, *, upper: bool = False) -> str:
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
-        return f"{word}, {'accepted' if result.passed else 'not accepted'}"
+        left_open = "for the customer to accept" if result.left_open else "not accepted"
+        return f"{word}, {'accepted' if result.passed else left_open}"
     return word
 
 
@@ -54,12 +54,18 @@ def probability_in_words(p: float) -> str:
     return f"{p:.2g}" if p < 1.0 - _LEAST_SHOWN else f"> {1.0 - _LEAST_SHOWN:g}"
 
 
+def optional_probability(p: float | None) -> str:
+    """Return a probability with two digits, a dash where there is none."""
+    return "–" if p is None else probability_in_words(p)
+
+
 def risk_in_words(result: Verification) -> str:
     """Return the specific risk of the decision, of all points together and of the worst; empty without one."""
-    if result.passed:
+    if result.passed or result.left_open:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
         single = "" if of_all == worst else f" ({worst} at the worst point)"
-        return f"probability of false acceptance {of_all}{single}"
+        accepted = " if it is accepted" if result.left_open else ""
+        return f"probability of false acceptance{accepted} {of_all}{single}"
     if result.rejected:
         return f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}"
     return ""
@@ -94,12 +100,12 @@ def advice(result: Verification) -> tuple[str, ...]:
             "smaller, and 'bench budget' says what makes most of it"
         ),
         Statement.CONDITIONAL_FAIL: (
-            "beyond the limit by less than the guard band: the block may conform all the same; more passes make U "
-            "smaller and tell"
+            "beyond the limit by less than the guard band: the block may conform all the same; a smaller U "
+            "tells, and 'bench budget' says what makes most of it"
         ),
         Statement.CONDITIONAL_PASS: (
-            "within the limit by less than the guard band: the block may not conform all the same; more passes "
-            "make U smaller and tell"
+            "within the limit by less than the guard band: the block may not conform all the same; a smaller U "
+            "tells, and 'bench budget' says what makes most of it"
         ),
     }
     of = f"of {len(result.points)} verification points"
@@ -109,15 +115,17 @@ def advice(result: Verification) -> tuple[str, ...]:
             f"{result.missing} verification points are missing, and nothing is accepted without them: "
             "measure them, too"
         )
-    return (*found, *_global_risk_in_words(result))
+    return tuple(found)
 
 
-def _global_risk_in_words(result: Verification) -> Iterator[str]:
+def global_risk_in_words(result: Verification) -> tuple[str, ...]:
+    """Return what the rule does to all blocks of the stated population, nothing where none is stated."""
     risk, population = result.global_risk, result.population
-    if risk is not None and population is not None:
-        yield (
-            f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
-            f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
-            f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
-            f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U)"
-        )
+    if risk is None or population is None:
+        return ()
+    return (
+        f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
+        f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
+        f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
+        f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U)",
+    )

@@ -35,7 +35,8 @@ class VerificationPoint:
     """One reading at a verification point: modulus `g_p` and its error `delta_g` in local g, with u and U = k u.
 
     `accepted_up_to` is the acceptance limit of the rule there: negative where U is more than the limit, and
-    then nothing is accepted. `p_outside` is the probability that the true error is outside the limit.
+    then nothing is accepted; what nothing can be said of is not `rejected` either. `p_outside` is the probability
+    that the true error is outside the limit.
     """
 
     angle_deg: float
@@ -50,6 +51,7 @@ class VerificationPoint:
     limit_g: float
     accepted_up_to: float
     statement: Statement
+    rejected: bool
     p_outside: float
 
     @property
@@ -63,9 +65,15 @@ class VerificationPoint:
         return abs(self.delta_g) <= self.accepted_up_to
 
     @property
-    def rejected(self) -> bool:
-        """Whether the rule rejects it; what nothing can be said of is neither accepted nor rejected."""
-        return not self.passed and self.statement is not Statement.INCONCLUSIVE
+    def p_false_accept(self) -> float | None:
+        """Probability of a false acceptance, of a conditional pass that is left open, too; None of all else."""
+        left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
+        return self.p_outside if self.passed or left_open else None
+
+    @property
+    def p_false_reject(self) -> float | None:
+        """Probability of a false rejection; None where it is not rejected."""
+        return 1.0 - self.p_outside if self.rejected else None
 
     def to_json(self) -> dict[str, Any]:
         """Return the point as it was promised."""
@@ -83,8 +91,8 @@ class VerificationPoint:
             "accepted_up_to": self.accepted_up_to,
             "passed": self.passed,
             "statement": str(self.statement),
-            "p_false_accept": self.p_outside if self.passed else None,
-            "p_false_reject": 1.0 - self.p_outside if self.rejected else None,
+            "p_false_accept": self.p_false_accept,
+            "p_false_reject": self.p_false_reject,
         }
 
 
@@ -127,6 +135,11 @@ class Verification:
         return any(point.rejected for point in self.points)
 
     @property
+    def left_open(self) -> bool:
+        """Whether it is a conditional pass that the rule neither accepts nor rejects."""
+        return self.statement is Statement.CONDITIONAL_PASS and not self.passed and not self.rejected
+
+    @property
     def worst(self) -> VerificationPoint:
         """The point with the largest |delta g|."""
         return max(self.points, key=lambda p: abs(p.delta_g))
@@ -162,12 +175,12 @@ class Verification:
 
     def to_json(self) -> dict[str, Any]:
         """Return the promised result."""
-        of_all, accepted = self.global_risk, self.passed
+        of_all, accepted = self.global_risk, self.passed or self.left_open
         return {
             "limit_g": self.limit_g,
             "rule": self.rule,
             "guard_band": self.decision.guard_band,
-            "passed": accepted,
+            "passed": self.passed,
             "statement": str(self.statement),
             "missing": self.missing,
             "U": self.expanded,
@@ -230,6 +243,10 @@ def verify(
     k = coverage_factor(nu)
     expanded = k * u
     outside = probability_outside(errors, u, limit_g, nu)
+    accepted_up_to = [decision.acceptance_limit(limit_g, float(U)) for U in expanded]
+    statements = [
+        decision.statement(float(y), limit_g, float(U)) for y, U in zip(errors, expanded, strict=True)
+    ]
     points = tuple(
         VerificationPoint(
             angle_deg=float(np.degrees(rows.angle_rad[i])),
@@ -242,8 +259,9 @@ def verify(
             k=float(k[i]),
             dof=float(nu[i]),
             limit_g=limit_g,
-            accepted_up_to=decision.acceptance_limit(limit_g, float(expanded[i])),
-            statement=decision.statement(float(errors[i]), limit_g, float(expanded[i])),
+            accepted_up_to=accepted_up_to[i],
+            statement=statements[i],
+            rejected=not abs(errors[i]) <= accepted_up_to[i] and decision.rejects(statements[i]),
             p_outside=float(outside[i]),
         )
         for i in range(len(rows))

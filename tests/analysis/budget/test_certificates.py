@@ -10,10 +10,16 @@ from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import bench_sources
 from bench.base.arrays import ARCSEC
-from bench.files.bench.file import load_bench
+from bench.files.bench.file import load_bench, load_recorded_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.procedure.load import load_procedure
-from tests.support.certified_bench import HELD, certified, meter_certificate, table_certificate
+from tests.support.certified_bench import (
+    HELD,
+    certified,
+    meter_certificate,
+    table_certificate,
+    write_bench,
+)
 
 PLAN = load_procedure(find_procedure("paper")).expand()
 HALF_A_YEAR = datetime.date(2026, 1, 1) + datetime.timedelta(days=183)
@@ -143,3 +149,17 @@ def test_the_error_of_the_thermometer_is_one_for_the_whole_run(tmp_path):
     assert u[9] == pytest.approx(bias_v, rel=0.1)
     assert u[0] == pytest.approx(2.177 * 180e-6 / math.sqrt(3) * 0.15, rel=0.1)
     assert "thermometer" not in lines(load_bench(find_bench("paper-stand")))
+
+
+def test_a_meter_whose_driver_is_not_here_is_taken_as_one_of_six_and_a_half_digits(tmp_path):
+    text = write_bench(tmp_path, {"x": meter_certificate()}).read_text(encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(text.replace("agilent-34401a", "my-meter"), encoding="utf-8")
+    unknown, known = load_recorded_bench(tmp_path / "mine.yaml"), load_bench(tmp_path / "certified.yaml")
+    own, theirs = lines(unknown), lines(known)
+    assert (
+        own["voltmeter_gain[y]"].origin
+        == "the driver my-meter is not here: as of a meter of 6½ digits on 10 V"
+    )
+    assert {name: source.u for name, source in own.items()} == {
+        name: source.u for name, source in theirs.items()
+    }

@@ -7,7 +7,7 @@ import pytest
 
 from bench.analysis.calibration import CalibrationError, calibrate, verify
 from bench.analysis.calibration.conformity import Population, global_risk
-from bench.analysis.calibration.verdict_words import advice
+from bench.analysis.calibration.verdict_words import global_risk_in_words, verdict_line
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
@@ -186,6 +186,7 @@ def test_u_grows_as_its_degrees_of_freedom_shrink():
         (1.00055, 1e-4, "simple", "conditional pass", True),
         (1.00055, 1e-4, "guarded", "conditional pass", False),
         (1.00065, 1e-4, "simple", "conditional fail", False),
+        (1.00065, 1e-4, "non-binary", "conditional fail", False),
         (1.001, 1e-4, "non-binary", "fail", False),
         (1.0, 4e-4, "simple", "inconclusive", False),
         (1.0, 4e-4, "guarded", "inconclusive", False),
@@ -200,6 +201,18 @@ def test_statement_and_decision(factor, noise, rule, statement, passed):
     for name in ("p_false_accept", "p_false_reject"):
         assert (told[name] is None) is (statement == "inconclusive" or name != decided), name
     assert told["tur"] == pytest.approx(3e-4 / max(p.U for p in result.points))
+
+
+def test_a_conditional_pass_of_the_non_binary_rule_is_left_open():
+    """Neither accepted nor rejected: the risk is that of the customer who accepts it."""
+    result = verify(turned(), altered_z(1.00055), NONE, 1e-4, 3e-4, rule="non-binary")
+    told = result.to_json()
+    assert (told["statement"], told["passed"], told["p_false_reject"]) == ("conditional pass", False, None)
+    assert told["p_false_accept"] == result.p_outside
+    assert all(p["p_false_accept"] is not None and p["p_false_reject"] is None for p in told["points"])
+    line = verdict_line("unit", result)
+    assert "CONDITIONAL PASS, for the customer to accept: worst" in line
+    assert f"probability of false acceptance if it is accepted {result.p_outside:.2g}" in line
 
 
 def test_a_missing_point_leaves_the_verdict_open_but_not_a_failure():
@@ -227,4 +240,6 @@ def test_a_global_risk_only_of_a_stated_population(covariance):
     expected = global_risk(population, worst.u, 3e-4, 3e-4 - worst.U)
     told = result.to_json()["global_risk"]
     assert (told["false_accept"], told["false_reject"]) == (expected.false_accept, expected.false_reject)
-    assert any("standard deviation 100 µg, as stated" in sentence for sentence in advice(result))
+    assert any(
+        "standard deviation 100 µg, as stated" in sentence for sentence in global_risk_in_words(result)
+    )
