@@ -177,6 +177,11 @@ class Keithley2000(ScpiInstrument):
         self._switch_on()
 
     @property
+    def cycle(self) -> Buffer:
+        """Its trigger system."""
+        return self.buffer
+
+    @property
     def overloaded(self) -> bool:
         """Whether the voltage at the input is beyond every range, whatever the source says."""
         return self._converter.overloaded

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from sim.scpi.instrument import DeviceClear
+from sim.scpi.instrument import DeviceClear, never
 from sim.scpi.status import ScpiError
 from sim.world.clock import VirtualClock, wait_until
 
@@ -31,7 +31,9 @@ class TriggerState(Enum):
 class MeasuringCycle(ABC):
     """Idle, a start, wait for a trigger, measure; `source` says what gives the trigger.
 
-    `memory_depth` readings are kept, the latest; `interrupted` tells whether a device clear has come in.
+    `memory_depth` readings are kept, the latest; `interrupted` tells whether a device clear has come in. What a
+    client began that has left since is given up as soon as another would wait for it; on a virtual clock
+    nobody waits, and it goes on.
     """
 
     memory_depth: int
@@ -41,6 +43,7 @@ class MeasuringCycle(ABC):
     def __init__(self, clock: Clock, interrupted: Callable[[], bool]) -> None:
         self._clock = clock
         self._interrupted = interrupted
+        self._sender_left = self._beginner_left = never
         self.source = "IMM"
         self.preset()
         self.abort()
@@ -58,10 +61,11 @@ class MeasuringCycle(ABC):
         self._triggers_left: float = 0
         self._keeps = False
 
-    def forsaken(self) -> None:
-        """Give up what is under way: who began it has left. On a virtual clock it holds nobody up."""
-        if self.in_progress and not isinstance(self._clock, VirtualClock):
+    def sent_by(self, left: Callable[[], bool]) -> None:
+        """Take note that what is begun from now on is for a client of whom `left` tells whether it has left."""
+        if self._forsaken:
             self.abort()
+        self._sender_left = left
 
     def fetch(self) -> str:
         """FETCh?: return what is in memory. Raises `ScpiError` -230 when there is nothing."""
@@ -76,17 +80,28 @@ class MeasuringCycle(ABC):
         self._schedule(1)
 
     def complete(self) -> None:
-        """Wait for the measurement under way, if any. Raises `DeviceClear` when one comes in meanwhile."""
+        """Wait for the measurement under way, if any, or until who began it has left.
+
+        Raises `DeviceClear` when one comes in meanwhile.
+        """
         if self.state is not TriggerState.MEASURING:
             return
-        if not wait_until(self._clock, self._finish_s, self._interrupted):
+        if wait_until(self._clock, self._finish_s, lambda: self._interrupted() or self._forsaken):
+            self._collect()
+        elif self._interrupted():
             raise DeviceClear
-        self._collect()
+        else:
+            self.abort()
 
     @property
     def in_progress(self) -> bool:
         """Whether samples are still being taken at this moment."""
         return self.state is TriggerState.MEASURING and self._clock.now_s() < self._finish_s
+
+    @property
+    def _forsaken(self) -> bool:
+        """Whether samples are being taken for a client that has left."""
+        return self._beginner_left() and self.in_progress and not isinstance(self._clock, VirtualClock)
 
     @abstractmethod
     def _schedule(self, triggers: int) -> None:
@@ -115,6 +130,7 @@ class MeasuringCycle(ABC):
 
     def _measures_until(self, finish_s: float, triggers: int) -> None:
         self._finish_s = finish_s
+        self._beginner_left = self._sender_left
         self._triggers_left -= triggers
         self.state = TriggerState.MEASURING
 

@@ -251,6 +251,7 @@ class FaultyInstrument:
         clock: Clock | None = None,
     ) -> None:
         self.dialect = dialect
+        self._measures = dialect if isinstance(dialect, HasCycle) else None
         self.name = name
         self._seed = seed
         self._clock = clock or SystemClock()
@@ -311,10 +312,10 @@ class FaultyInstrument:
         finally:
             self.dialect.overloaded = False
 
-    def forsaken(self) -> None:
-        """Stop what is measured for a client that has left."""
-        if isinstance(self.dialect, HasCycle):
-            self.dialect.cycle.forsaken()
+    def sent_by(self, left: Callable[[], bool]) -> None:
+        """Say whose the next message is to what measures for a while: it may be given up for one that left."""
+        if self._measures is not None:
+            self._measures.cycle.sent_by(left)
 
     def device_clear(self) -> None:
         """Stop what is under way; a hanging instrument goes on."""

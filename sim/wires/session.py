@@ -24,6 +24,7 @@ TERMINATOR: Final = b"\n"
 
 _INPUT_BUFFER: Final = 65536
 _LATE_SLICE_S: Final = 0.02
+_LOOK_S: Final = 0.05
 LEAVING_S: Final = 2.0
 """How long a reply is still worked on for a client that sends no more, s of real time."""
 
@@ -66,8 +67,11 @@ class Dialect(Protocol):
 class Forsakable(Protocol):
     """A dialect that may be busy for hours with what one client wanted of it."""
 
-    def forsaken(self) -> None:
-        """Take note that the client that sent the last message has left."""
+    def sent_by(self, left: Callable[[], bool]) -> None:
+        """Take note of who sends the next message: `left` tells, at any time, whether that client has left.
+
+        What was begun for one that has left is given up, also while another's message waits for it.
+        """
         ...
 
 
@@ -212,9 +216,9 @@ class ServedInstrument:
         self.dialect = dialect
         self.traffic = traffic or Traffic()
         self.fault = fault
+        self._forsakable = dialect if isinstance(dialect, Forsakable) else None
         self._lock = threading.Lock()
         self._clearing: set[Session] = set()
-        self._last: Session | None = None
 
     def exchange(
         self, session: Session, message: bytes, interrupted: Callable[[], bool]
@@ -225,7 +229,8 @@ class ServedInstrument:
             return bool(self._clearing) or interrupted()
 
         with self._held(session):
-            self._last = session
+            if self._forsakable is not None:
+                self._forsakable.sent_by(session.has_left)
             reply = self.dialect.handle(message, cleared)
             return reply, self.fault(message, reply) if self.fault else None
 
@@ -237,12 +242,6 @@ class ServedInstrument:
                 self.dialect.device_clear()
         finally:
             self._clearing.discard(session)
-
-    def left(self, session: Session) -> None:
-        """Take note that a client has left: what only it waits for must not hold up the others."""
-        with self._held(session):
-            if self._last is session and isinstance(self.dialect, Forsakable):
-                self.dialect.forsaken()
 
     def input_overflow(self, session: Session) -> None:
         """Take note that a message was too long to be kept."""
@@ -259,7 +258,9 @@ class ServedInstrument:
     def _held(self, session: Session) -> Iterator[None]:
         if not self._lock.acquire(blocking=False):
             self.traffic.mark(session, Doing.WAITING)
-            self._lock.acquire()
+            # Who has the instrument may wait for what this client began, and so for word that it has left.
+            while not self._lock.acquire(timeout=_LOOK_S):
+                session.look_whether_left()
             self.traffic.mark(session, Doing.WORKING)
         try:
             yield
@@ -283,7 +284,8 @@ class Session:
         self._traffic = instrument.traffic
         self._on_refuse = on_refuse
         self._clock = clock or SystemClock()
-        self._left_s: float | None = None
+        self._silent_since_s: float | None = None
+        self._left = False
         ends = line_ends_of(instrument.dialect)
         self._framer = Framer(ends.messages)
         self._terminator = transport.terminator if ends.reply is None else ends.reply
@@ -297,6 +299,17 @@ class Session:
         except OSError:
             pending = False
         return pending or self.doing is Doing.WORKING
+
+    def has_left(self) -> bool:
+        """Whether the client has left for good, as far as it was seen; to be called from any thread."""
+        return self._left
+
+    def look_whether_left(self) -> None:
+        """See whether the client has left for good; to be called from the session's own thread."""
+        try:
+            self._interrupted()
+        except OSError:
+            self._left = True  # what it sent before is carried out all the same
 
     def run(self) -> None:
         """Serve the client until it leaves. A wire that breaks ends the session and nothing else."""
@@ -312,7 +325,7 @@ class Session:
         except OSError:
             return
         finally:
-            self._instrument.left(self)
+            self._left = True
             self._traffic.leave(self)
             self._transport.close()
 
@@ -326,10 +339,11 @@ class Session:
 
         One that only sends no more may still take its reply: it is given a moment.
         """
-        if self._left_s is None and self._transport.has_input() and not self._receive():
-            self._left_s = self._clock.now_s()
-        left = self._left_s is not None and self._clock.now_s() - self._left_s >= LEAVING_S
-        return left or self._framer.device_clear_pending
+        if self._silent_since_s is None and self._transport.has_input() and not self._receive():
+            self._silent_since_s = self._clock.now_s()
+        if self._silent_since_s is not None and self._clock.now_s() - self._silent_since_s >= LEAVING_S:
+            self._left = True
+        return self._left or self._framer.device_clear_pending
 
     def _answer_all(self) -> bool:
         """Carry out the messages that are complete; False when the connection is to be closed."""
