@@ -3,9 +3,9 @@
     python -m benchmarks.tumble_statistics --runs 300
 
 For turns of 8, 12 and 24 points: the root mean square of (estimate - truth)/u of every quantity of every axis,
-the stand, the terms and the noise drawn anew in each run (promised: 0.9 to 1.1, three standard errors aside). On
-8 points the truth of what is estimated is the sum that the view says it is. The simulation shares no geometry and
-no term with the model. Exit status 1 when a promise is broken.
+the stand, the terms and the noise drawn anew in each run, u that of the readings (promised: 0.9 to 1.1, three
+standard errors aside). On 8 points the truth of what is estimated is the sum that the view says it is. The
+simulation shares no geometry and no term with the model. Exit status 1 when a promise is broken.
 """
 
 from __future__ import annotations

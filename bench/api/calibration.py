@@ -7,18 +7,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from bench.analysis.budget.sources import assumed_stand
+from bench.analysis.budget.whole import sign
 from bench.analysis.calibration import Calibration, implausible
 from bench.analysis.calibration import calibrate as estimate
 from bench.analysis.calibration.estimators import GLS
+from bench.analysis.calibration.result import COVERAGE_FACTOR
 from bench.analysis.temperature.plateaus import separate_temperatures
-from bench.api.coefficients import block_result
+from bench.api.coefficients import Coefficients, block_result
 from bench.api.provenance import record_head
 from bench.api.source import Source
-from bench.base.arrays import Floats
-from bench.base.numbers import fixed, places
+from bench.base.arrays import Floats, u_of
+from bench.base.numbers import fixed, places, scale_for, two_digits
 from bench.base.tables import as_html, as_text, table
 from bench.base.whole import write_whole
 from bench.exchange.result import BlockResult
@@ -30,11 +34,23 @@ SEVERAL_TEMPERATURES = 3
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One of the twelve, with its standard uncertainty; both in `unit` (such as V/g, of a bias V)."""
+    """One of the twelve, in `unit` (such as V/g, of a bias V), with its combined standard uncertainty `u`.
+
+    `u_readings` is the part that the readings and the stand as it is stated show; `dof` are the effective degrees
+    of freedom of u, for which u is widened, so that `U` is `k` times u.
+    """
 
     value: float
     u: float
     unit: str
+    u_readings: float
+    dof: float
+    k: float = COVERAGE_FACTOR
+
+    @property
+    def U(self) -> float:  # noqa: N802 - the symbol of the field
+        """Expanded uncertainty k u."""
+        return self.k * self.u
 
 
 @dataclass(frozen=True)
@@ -52,13 +68,26 @@ class CalibrationResult:
     def coefficients(self) -> dict[str, Coefficient]:
         """The twelve by name: "Kxx", "Kxy", … "Kzz" in unit/g, "U0x", "U0y", "U0z" in the unit of the signals."""
         found = self.calibration
-        sizes = zip(COEFFICIENTS, found.block.vector.tolist(), found.u.tolist(), strict=True)
-        return {name: Coefficient(value, u, coefficient_unit(name, found.unit)) for name, value, u in sizes}
+        columns = (found.block.vector, found.u, found.u_readings, found.dof)
+        rows = zip(COEFFICIENTS, *(column.tolist() for column in columns), strict=True)
+        return {
+            name: Coefficient(value, u, coefficient_unit(name, found.unit), own, dof)
+            for name, value, u, own, dof in rows
+        }
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the coefficients, shape (12, 12), in the order of `coefficients`."""
+        """Combined covariance of the coefficients, shape (12, 12), in the order of `coefficients`."""
         return self.calibration.covariance
+
+    def as_coefficients(self) -> Coefficients:
+        """Return the coefficients as those of another day are read from a file."""
+        own = self.calibration
+        return Coefficients(
+            own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit, self.source.simulated,
+            own.covariance_same_meters if own.sources else None, self.source.meters, own.gravity_u,
+            self.source.made_at or "",
+        )  # fmt: skip
 
     @property
     def bench(self) -> str:
@@ -97,6 +126,7 @@ class CalibrationResult:
             "made_at": source.made_at,
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
+            "meters": list(source.meters),
             "corrections": source.traced.to_json(),
             **({} if source.run is None else {"record": record_head(source.run)}),
             "notes": [*self.doubts, *self.calibration.notes, *source.readings.notes],
@@ -127,14 +157,31 @@ class CalibrationResult:
         return write_form(self.derived, Path(path), form, nominal)
 
     def table(self) -> Table:
-        """Return the coefficients with u and U (k = 2), rounded to two digits of u."""
-        shown = table("coefficient", ">value", ">u", ">U (k=2)", "")
-        for name, (value, u, unit) in ((n, (c.value, c.u, c.unit)) for n, c in self.coefficients.items()):
-            if value == 0.0 and u == 0.0:
-                shown.add_row(name, "0", "", "", "by convention")
+        """Return the coefficients with u, U (k = 2) and u of the readings alone, rounded to two digits of u."""
+        shown = table("coefficient", ">value", ">u", ">U (k=2)", ">u, readings", "")
+        for name, found in self.coefficients.items():
+            if found.value == 0.0 and found.u == 0.0:
+                shown.add_row(name, "0", "", "", "", "by convention")
                 continue
-            digits = places(u)
-            shown.add_row(name, fixed(value, digits), fixed(u, digits), fixed(2 * u, digits), unit)
+            digits = places(found.u)
+            sizes = (found.value, found.u, found.U, found.u_readings)
+            shown.add_row(name, *(fixed(size, digits) for size in sizes), found.unit)
+        return shown
+
+    def sources_table(self) -> Table:
+        """Return what the readings do not show and u holds: how large it is, where from, and what it costs."""
+        shown = table("u holds also", ">u", "from", ">most", "in")
+        for source in self.calibration.sources:
+            u = u_of(source.covariance)
+            if not np.any(u > 0):
+                continue
+            j = int(np.argmax(u / self.calibration.u))
+            name = COEFFICIENTS[j]
+            size = scale_for(float(u[j]), "V")
+            per = "" if name.startswith("U0") else "/g"
+            origin = f"{source.origin} (prior)" if source.prior else source.origin
+            cost = f"{two_digits(float(u[j]) / size.size)} {size.unit}{per}"
+            shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)
         return shown
 
     def headline(self) -> str:
@@ -189,11 +236,14 @@ def calibration_of(
         source.stand_u,
         source.g_m_s2,
         estimator,
+        assumed_u={name: size.u for name, size in assumed_stand(source.bench).items()},
         nominal_angles=nominal_angles,
         join_free=join_free,
         join_verification=join_verification,
     )
-    return CalibrationResult(source, found)
+    return CalibrationResult(
+        source, sign(found, source.readings, source.bench, source.model, source.traced.day)
+    )
 
 
 def _with_note_on_temperatures(source: Source) -> Source:

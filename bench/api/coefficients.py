@@ -34,7 +34,9 @@ ROUNDING: Final = 1_000_000 * 2.0**-53
 class Coefficients:
     """A block with its covariance (12, 12), the noise of a reading, the gravity that is its unit (m/s²).
 
-    `simulated` tells that they were found on simulated instruments.
+    `simulated` tells that they were found on simulated instruments. `same_meters` (12, 12) is the covariance
+    without what cancels where the same meters read the block, `meters` are their identities; results of older
+    days have neither.
     """
 
     block: Block
@@ -43,6 +45,10 @@ class Coefficients:
     g_m_s2: float
     unit: str
     simulated: bool = False
+    same_meters: Floats | None = None
+    meters: tuple[str, ...] = ()
+    gravity_u: float = 0.0
+    made_at: str = ""
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
@@ -71,6 +77,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
         covariance = _covariance(data, "covariance")
+        meters = tuple(str(name) for name in data.get("meters", ()))
         noise, g_m_s2 = _number(data["noise"]["reading_v"]), _number(data["g_m_s2"])
         theirs, per, simulated = data["unit"], data.get("per", "g"), data.get("simulated", False)
     except KeyError as error:
@@ -85,7 +92,20 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     if noise < 0 or g_m_s2 <= 0:
         raise Refused(f"{where}: holds a negative noise or gravity; calibrate again")
     _refuse_impossible(covariance, where)
-    return Coefficients(Block.from_vector(values), covariance, noise, g_m_s2, theirs, simulated)
+    same_meters = _further_covariance(data, "covariance_same_meters", where)
+    block = Block.from_vector(values)
+    return Coefficients(
+        block,
+        covariance,
+        noise,
+        g_m_s2,
+        theirs,
+        simulated,
+        same_meters,
+        meters,
+        _positive(data.get("gravity_u")),
+        _text(data.get("made_at")),
+    )
 
 
 def block_result(data: Any, where: str) -> BlockResult:

@@ -76,6 +76,18 @@ class Source:
         return self.origin is not None and self.origin.simulated
 
     @property
+    def meters(self) -> tuple[str, ...]:
+        """Which voltmeters read: what each answered, and where on which bench; empty where nobody recorded it.
+
+        Many answer without a serial number, so that the identity alone is that of all of their kind.
+        """
+        told = {} if self.origin is None else self.origin.instruments
+        meters = self.bench.instruments.voltmeters
+        if not all(told.get(meter.name) for meter in meters):
+            return ()
+        return tuple(f"{told[m.name]} at {m.resource} of {self.bench.name}" for m in meters)
+
+    @property
     def block_name(self) -> str:
         """Type and serial number of the block; empty where neither a run nor a bench file asked for says it."""
         if self.origin is None and not (self.request.bench or os.environ.get("BENCH_FILE")):

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from bench.analysis.budget.sources import hidden_sources
+from bench.analysis.budget.whole import delta_g_covariance, delta_g_elsewhere
 from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.conformity import GUARDED, SIMPLE, DecisionRule, Population
+from bench.analysis.calibration.same_meters import drifted
 from bench.analysis.calibration.verdict_words import (
     advice,
     global_risk_in_words,
@@ -23,6 +28,7 @@ from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.coefficients import Coefficients, read_coefficients
 from bench.api.errors import Refused
 from bench.api.source import Source
+from bench.base.arrays import Floats
 from bench.base.tables import as_html, as_text, table
 from bench.files.bench.file import BenchFile
 from bench.run.folder import Run
@@ -126,11 +132,15 @@ def own_judgement(source: Source, *asked: Asked) -> Judgement:
 
 @dataclass(frozen=True)
 class VerificationResult:
-    """Δg at the verification points of a source against the limit; `warnings` are on the coefficients taken."""
+    """Δg at the verification points of a source against the limit.
+
+    `warnings` are on the coefficients taken, `said` is on their uncertainty.
+    """
 
     source: Source
     verification: Verification
     warnings: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -230,6 +240,7 @@ def verification_of(
     """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings."""
     judgement = own_judgement(source, asked)
     warnings: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
     if coefficients is None:
         coefficients = calibration_of(source)
         source = coefficients.source
@@ -237,11 +248,17 @@ def verification_of(
         own = coefficients.calibration
         if own.unit != source.readings.unit:
             raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
-        taken = Coefficients(own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit)
+        taken = coefficients.as_coefficients()
     else:
         taken = read_coefficients(coefficients, source.readings.unit)
         if taken.simulated and not source.simulated:
             warnings = (f"the coefficients in {coefficients} were found on simulated instruments",)
+    if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
+        joint = delta_g_covariance(
+            coefficients.calibration, source.readings, source.bench, source.model, source.traced.day
+        )
+    else:
+        joint, said = _of_another_day(taken, source)
     verdict = check(
         source.readings,
         taken.block,
@@ -250,6 +267,45 @@ def verification_of(
         judgement.limit_g,
         taken.g_m_s2 / source.g_m_s2,
         judgement.rule,
+        joint=joint,
         population=judgement.population,
     )
-    return VerificationResult(source, verdict, warnings)
+    return VerificationResult(source, verdict, warnings, said)
+
+
+def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
+    """Return the covariance of |a| at the points for coefficients of another day, and what is to be said of it.
+
+    The errors of meters that are the same cancel on one day, and less the longer they may have drifted.
+    """
+    known = taken.covariance if taken.same_meters is None else taken.same_meters
+    part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))
+    joint, said = np.zeros((0, 0)), ""
+    for covariance, same, weight in ((known, True, 1.0 - part), (taken.covariance, False, part)):
+        found = delta_g_elsewhere(
+            taken.block, covariance, np.full(3, taken.noise), source.readings, source.bench, source.model,
+            same_meters=same, day=source.traced.day,
+        )  # fmt: skip
+        joint = weight * found if same else joint + weight * found
+    if taken.same_meters is None:
+        said = "the coefficients' uncertainty is that of an earlier version's result: of its readings alone"
+    elif part == 0.0:
+        said = "the same meters as at the calibration, on one day: their gain and offset cancel"
+    elif part < 1.0:
+        said = f"the same meters as at the calibration: {part:.0%} of their limits counts, for their drift"
+    else:
+        said = "not known to be the meters of the calibration: the gain and offset of both are in u"
+    if taken.g_m_s2 != source.g_m_s2:
+        there = {error.name: error.u for error in hidden_sources(source.bench, source.model)}.get(
+            "gravity", 0.0
+        )
+        joint = joint + taken.gravity_u**2 + there**2
+    return joint, (said,)
+
+
+def _when(text: str | None) -> datetime | None:
+    """Return a civil time as a result has it; None where there is none."""
+    try:
+        return datetime.fromisoformat(text or "").astimezone()
+    except ValueError:
+        return None

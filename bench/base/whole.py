@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from bench.base.visible import in_json
+from bench.base.visible import in_json, visible
 
 
 def to_text(result: Any) -> str:
@@ -47,6 +48,10 @@ def write_whole(path: Path, text: str | bytes) -> None:
     A link is followed; into what is no file (`/dev/null`, a pipe) the text is written, never put in its place.
     """
     content = text.encode() if isinstance(text, str) else text
+    try:
+        os.fsencode(path)
+    except UnicodeEncodeError:  # half of a pair of UTF-16, which no file system takes
+        raise OSError(errno.EINVAL, "no name that a file can have", visible(str(path))) from None
     try:
         if path.exists() and not path.is_file():
             path.write_bytes(content)

@@ -100,6 +100,8 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
             result.block.vector,
             result.covariance,
             source.simulated,
+            result.covariance_same_meters,
+            source.meters,
         )
     ]
 
@@ -135,6 +137,8 @@ def _from_result(data: Any, path: Path, number: int) -> Snapshot:
         found.block.vector,
         found.covariance,
         found.simulated,
+        found.same_meters,
+        found.meters,
     )
 
 

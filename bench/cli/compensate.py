@@ -63,6 +63,7 @@ def compensate(
     from bench.analysis.temperature.estimate import temperature_model
     from bench.analysis.temperature.table import make_table
     from bench.analysis.temperature.table_files import table_json
+    from bench.api.compensation import sign_model
     from bench.api.source import Request, load_sources
 
     printing.check_target(json)
@@ -77,11 +78,15 @@ def compensate(
             "a temperature model is made on one bench"
         )
     tables = [source.readings for source in loaded]
-    model = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, reference, _degree(degree))
+    shown = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, reference, _degree(degree))
+    signed = sign_model(shown, first)
+    model = signed.combined
     table = make_table(model, first.bench.unit_under_test.range, step)
-    checks = [check for source in loaded for check in _verified(source, model)]
+    checks = [check for source in loaded for check in _verified(source, signed.same_meters)]
     result = {
         **model.to_json(),
+        "covariance_readings": shown.covariance.tolist(),
+        "uncertainty_sources": [source.to_json() for source in signed.sources],
         "table": table_json(table),
         "verification": [{"temperature_c": t, **check.to_json()} for t, check in checks],
         "sources": names,
@@ -129,7 +134,7 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
         own = source.readings.select(
             (source.readings.installation == "V") & (source.readings.temperature_c == t)
         )
-        noise = model.noise.reading
+        noise = model.noise.widened().by_channel
         verdict = verify(
             own,
             model.block(t),

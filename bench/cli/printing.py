@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.calibration import Noise
+    from bench.analysis.calibration import Calibration, Noise
     from bench.api.calibration import CalibrationResult
     from bench.api.source import Source
     from bench.api.taken import BenchTaken
@@ -156,6 +156,8 @@ def calibration(result: CalibrationResult, file: Path | None, out: Console | Non
     out.print(result.headline())
     out.print(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {found.unit}")
     out.print(result.table())
+    if found.sources:
+        out.print(result.sources_table())
     fit = found.lack_of_fit
     noise = found.noise
     scale = scale_for(noise.reading, found.unit)
@@ -165,7 +167,9 @@ def calibration(result: CalibrationResult, file: Path | None, out: Console | Non
         + (setting if len(found.fitted) else "")
     )
     if math.isfinite(fit.p):
-        verdict = "none shown at 1 %" if fit.p >= 0.01 else "THE MODEL DOES NOT FIT the readings"
+        verdict = (
+            "none shown at 1 %" if fit.p >= 0.01 else f"THE MODEL DOES NOT FIT the readings{_widened(found)}"
+        )
         out.print(
             f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
         )
@@ -186,6 +190,14 @@ def calibration(result: CalibrationResult, file: Path | None, out: Console | Non
         out.print(f"assumed: {sentence}")
     if file is not None:
         written("result", file, out)
+
+
+def _widened(found: Calibration) -> str:
+    """What the misfit has done to u: it never stays as it was."""
+    how = (
+        f"u is {found.birge:.2g} times that of the noise" if found.birge > 1 else "u holds what repeats share"
+    )
+    return f"; {how}" if found.birge > 1 or found.shared else ""
 
 
 def _limits(noise: Noise) -> str:

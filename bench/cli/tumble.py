@@ -49,8 +49,8 @@ def tumble(
     runs: RunsOption = RUNS,
 ) -> int:
     """Each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
-    from bench.analysis.tumble.view import tumble_view
     from bench.api.source import Request, load_sources
+    from bench.api.tumble import tumble_of
 
     printing.check_target(json)
     loaded = load_sources(Request(sources, runs, bench, None, g, out, skip_bad_rows))
@@ -58,7 +58,7 @@ def tumble(
     asked = [term.strip() for term in terms.split(",") if term.strip()]
     results, fits = [], True
     for source in loaded:
-        view = tumble_view(source.readings, source.model, source.stand_u, source.g_m_s2, asked)
+        view = tumble_of(source, asked)
         unit = source.bench.unit_under_test
         result = {
             **view.to_json(),
@@ -68,7 +68,7 @@ def tumble(
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
             "corrections": source.traced.to_json(),
-            "notes": [*source.readings.notes, *source.readings.skipped],
+            "notes": [*view.notes, *source.readings.notes, *source.readings.skipped],
         }
         results.append(result)
         fits = fits and not view.lack_of_fit.p < FITS_P
@@ -83,7 +83,7 @@ def tumble(
 
 
 def _print(view: TumbleView, name: str, on: Console) -> None:
-    on.print(f"Tumble of {name}: {view.readings} readings, local g = {view.g_m_s2:.6g} m/s²")
+    on.print(f"Tumble of {name}: {len(view.fitted)} readings, local g = {view.g_m_s2:.6g} m/s²")
     on.print(
         "E/K1 = K0 + a_i + cross-axis terms + K2 a_i² + K3 a_i³ + Koq a_i |a_i| + …, a in g, E in "
         + view.unit
@@ -109,7 +109,6 @@ def _print(view: TumbleView, name: str, on: Console) -> None:
         for term, moved in by_term.items()
         if moved
     ]
-    notes.append("gain, offset and linearity of the voltmeters are not in u: linearity looks like K2 and K3")
     printing.notes_on(on, notes)
 
 
@@ -117,7 +116,7 @@ def _table(view: TumbleView) -> Table:
     """Return the quantities, rounded to two digits of u; angles in arcsec, all else of a channel in µg."""
     from bench.base.numbers import fixed, places
 
-    shown = printing.table("", "", ">value", ">u", ">U (k=2)", "")
+    shown = printing.table("", "", ">value", ">u", ">U (k=2)", ">u, readings", "")
     for channel, quantities in view.axes.items():
         for q in quantities:
             times, unit = 1.0, q.unit
@@ -126,7 +125,7 @@ def _table(view: TumbleView) -> Table:
             elif q.unit == "g" or q.unit.startswith("g/g^"):
                 times, unit = 1e6, q.unit.replace("g", "µg", 1).replace("^2", "²").replace("^3", "³")
             digits = places(times * q.u)
-            cells = (fixed(times * size, digits) for size in (q.value, q.u, 2 * q.u))
+            cells = (fixed(times * size, digits) for size in (q.value, q.u, 2 * q.u, q.u_readings))
             shown.add_row(channel, q.words, *cells, unit)
     return shown
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -40,6 +41,8 @@ def render_report(content: ReportContent) -> str:
         stand=tables.stand(calibration),
         effects=tables.effects(calibration),
         noise=tables.noise(calibration),
+        sources=tables.sources(calibration),
+        measured=measured(content.provenance),
         verification=_verification(content.verification),
         comparison=_comparison(calibration, other) if other else None,
         residuals=_residuals(calibration),
@@ -166,9 +169,27 @@ def fit_in_words(fit: LackOfFit) -> FitInWords:
         figures,
         "the model does not fit the readings",
         "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
-        f"alone would leave as much in {_percent(fit.p)} of calibrations. The stated uncertainties do not "
-        "cover what is missing from the model; the residuals show where it acts.",
+        f"alone would leave as much in {_percent(fit.p)} of calibrations. What is missing from the model has "
+        "widened u, as an error that repeats share or by the Birge ratio; the residuals show where it acts.",
     )
+
+
+_MEASURED: Final = {
+    "unit under test": "Unit",
+    "begun": "Measured",
+    "operator": "Operator",
+    "procedure": "Procedure",
+}
+"""What stands near the top of the page, from the provenance at its end."""
+
+
+def measured(provenance: Mapping[str, str]) -> dict[str, str]:
+    """Return who measured what, when and with which instruments, as far as it is known."""
+    stated = {title: provenance[name] for name, title in _MEASURED.items() if name in provenance}
+    if "Procedure" in stated:
+        stated["Procedure"] = stated["Procedure"].partition(" (plan")[0]
+    meters = [text for name, text in provenance.items() if name.startswith(("voltmeter", "head"))]
+    return {**stated, "Instruments": "; ".join(meters)} if meters else stated
 
 
 def _percent(p: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from markupsafe import Markup
@@ -13,7 +13,7 @@ from bench.analysis.budget.propagation import correlation_of
 from bench.analysis.calibration import Calibration, Estimate, Noise, Verification
 from bench.analysis.calibration.design import SYMBOLS
 from bench.analysis.calibration.verdict_words import optional_probability
-from bench.base.arrays import ARCSEC, CHANNELS
+from bench.base.arrays import ARCSEC, CHANNELS, u_of
 from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
 from bench.model.effects import CATALOGUE
@@ -26,6 +26,8 @@ MEANINGS: Final = {
     "mounting_offset": "mounting turn about the shaft",
     "mounting_roll": "mounting error, third angle",
 }
+HARDLY: Final = 0.01
+"""A contribution below this part of the unit of its table is none."""
 SHOWS: Final = 2.0
 """A stand angle shows in the data when it is more than this many of its u away from nothing."""
 
@@ -57,7 +59,7 @@ def matrix(calibration: Calibration) -> list[list[str]]:
 
 
 def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
-    """Return scale factors, cross-axis terms and biases: value, its unit, u, U (k = 2), unit, other terms."""
+    """Return scale factors, cross-axis terms, biases: value, unit, u of the readings, u, U, unit, other terms."""
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)
     base = scale_for(1.0, calibration.unit)
@@ -65,6 +67,7 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     values = aligned(
         ["0" if v == s == 0.0 else rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)]
     )
+    of_readings = aligned([two_digits(float(s) / scale.size) for s in calibration.u_readings])
     standard = aligned([two_digits(float(s) / scale.size) for s in u])
     expanded = aligned([two_digits(2.0 * float(s) / scale.size) for s in u])
     groups: list[tuple[str, list[Row]]] = []
@@ -80,6 +83,7 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
                 (
                     values[j],
                     base.unit if j >= 9 else base.per_g,
+                    of_readings[j],
                     standard[j],
                     expanded[j],
                     scale.unit if j >= 9 else scale.per_g,
@@ -104,7 +108,7 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
         return "by convention", ""
     if j < 9:
         return concise(ratio / ARCSEC, u_ratio / ARCSEC), "″"
-    scale = scale_for(ratio, "g")
+    scale = scale_for(max(abs(ratio), u_ratio), "g")
     return concise(ratio / scale.size, u_ratio / scale.size), scale.unit
 
 
@@ -325,6 +329,27 @@ def _limits(noise: Noise) -> str:
     return f" (with 95 % between {low:.2g}″ and {high:.2g}″)"
 
 
+def _each(sizes: tuple[float, float, float], unit: str) -> str:
+    return ", ".join(f"{c} {quantity(size, unit)}" for c, size in zip(CHANNELS, sizes, strict=True))
+
+
+def sources(calibration: Calibration) -> dict[str, Any]:
+    """Return the errors that the readings do not show: name, u, origin, what each adds at most; and gravity."""
+    if not calibration.sources:
+        return {}
+    largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)
+    scale = scale_for(largest, calibration.unit)
+    rows = []
+    for source in calibration.sources:
+        u = u_of(source.covariance) / scale.size
+        most = [float(u[own].max()) for own in ([0, 4, 8], [1, 2, 3, 5, 6, 7], [9, 10, 11])]
+        origin = f"{source.origin} (prior)" if source.prior else source.origin
+        cells = (source.size, *(two_digits(size) if size >= HARDLY else "–" for size in most), origin)
+        rows.append(Row(source.name.replace("_", " "), cells))
+    gravity = f"{calibration.gravity_u * 1e6:.2g} ppm" if calibration.gravity_u else ""
+    return {"unit": f"{scale.per_g} and {scale.unit}", "rows": rows, "gravity": gravity}
+
+
 def noise(calibration: Calibration) -> dict[str, str]:
     """Return the noise sizes, where they come from, and the root mean square of the residuals."""
     of = calibration.noise
@@ -333,6 +358,7 @@ def noise(calibration: Calibration) -> dict[str, str]:
         "setting": f"{two_digits(of.setting_rad / ARCSEC)}″{_limits(of)}",
         "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
         "source": of.source,
+        "each": "" if of.channels is None else _each(of.channels, calibration.unit),
         "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
         "channels": ", ".join(CHANNELS),
     }

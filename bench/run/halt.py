@@ -27,17 +27,17 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
 
     `again` says that the run stopped at this reading before and that it was redone since.
     """
-    what, first = f"Stopped. {doubt.data['sentence']}. ", "take the point again, take the pass again"
+    why, first = "", "take the point again, take the pass again"
     answers = [*ANSWERS]
     if again:
-        what += f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be what is wrong. "
+        why = f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be what is wrong. "
         first = "take the pass again, which is the first choice, take the point again"
         answers.sort(key=lambda answer: ANSWERS[answer] is not Wish.REPEAT_PASS)
     return Prompt(
         id=f"halt@{doubt.number}",
         kind=PromptKind.CHOOSE,
-        text=f"{what}Put it right, then say how to go on: {first}, mount the block again and take the pass "
-        "again, or go on with the readings as they are and say why",
+        text=f"Stopped. {doubt.data['sentence']}. {why}Put it right, then say how to go on: {first}, "
+        "mount the block again and take the pass again, or go on with the readings as they are and say why",
         choices=(*answers, f"{GO_ON} REASON"),
         action={"do": "ask"},
     )

@@ -25,7 +25,12 @@ def test_a_calibration_is_that_of_the_command(bench, readings):
     status, out, _ = bench("calibrate", "r.csv", "--estimator", "robust", "--g", "9.81", "--json", "-")
     assert (status, result.to_dict()) == (0, json.loads(out))
     first = result.coefficients["Kxx"]
-    assert (first.value, first.u) == tuple(result.to_dict()["coefficients"]["Kxx"].values())
+    written = result.to_dict()["coefficients"]["Kxx"]
+    assert [getattr(first, name) for name in ("value", "u", "u_readings", "U", "k")] == [
+        written[name] for name in ("value", "u", "u_readings", "U", "k")
+    ]
+    assert first.dof == written["dof"]
+    assert 0 < first.u_readings < first.u == first.U / 2
     assert abs(first.value - K[0, 0]) < 4 * first.u
     assert (first.unit, result.coefficients["U0x"].unit) == ("V/g", "V")
     assert result.covariance.shape == (12, 12)

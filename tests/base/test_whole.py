@@ -38,3 +38,9 @@ def test_what_cannot_be_written_is_named_and_leaves_no_half(tmp_path: Path) -> N
     with pytest.raises(OSError, match="folder"):
         write_whole(tmp_path / "folder", "x")
     assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="no name that a file can have") as refused:
+        write_whole(tmp_path / "a\ud800", "text")
+    assert "\ud800" not in str(refused.value)

@@ -22,6 +22,8 @@ ONE_SIGMA = {
     "limit: 90 arcsec, distribution: normal, k: 3": "limit: 90 arcsec, distribution: normal, k: 1",
     "limit: 10 arcsec, distribution: normal, k: 3": "limit: 10 arcsec, distribution: normal, k: 1",
     "limit: 0.3 mV, distribution: normal, k: 3": "limit: 0.3 mV, distribution: normal, k: 1",
+    # the paper leaves the third mounting angle out
+    "  setting_error:": "  mounting_roll: {limit: 0 arcsec, distribution: rectangular}\n  setting_error:",
 }
 
 
@@ -79,7 +81,7 @@ def test_printed_for_a_person(bench):
     ):
         assert told in out
     assert re.search(r"from 5 g on K2 and K3 dominate \(9\d % of the variance", out)
-    assert max(len(line) for line in out.splitlines() if not line.startswith("note")) <= 150
+    assert max(len(line) for line in out.splitlines() if not line.startswith(("note", "Monte"))) <= 150
 
 
 @pytest.mark.slow
@@ -106,7 +108,8 @@ def test_the_rule_decides_the_exit_status_where_one_is_asked_for(bench):
         result_of(bench, *simple, "--rule", "simple", status=1)["verification"]["rule"] == "simple acceptance"
     )
     assert result_of(bench, *simple, "--rule", "guarded", status=1)["verification"]["rule"] == "guarded"
-    assert result_of(bench, "--trials", 0, "--rule", "guarded")["verification"]["capable"] is True
+    loose = ("--trials", 0, "--rule", "guarded", "--limit", 6e-4)
+    assert result_of(bench, *loose)["verification"]["capable"] is True
 
 
 def test_a_model_file_adds_its_effects(bench):

@@ -222,7 +222,7 @@ def test_a_what_if_leaves_the_runs_own_verdict_alone(exported):
         assert f"result of this what-if (the run's own stays): runs/finished/what-if/{command}.json" in out
         assert Path(f"runs/finished/what-if/{command}.json").is_file()
         assert {name: file.read_bytes() for name, file in files.items()} == own
-    assert [run["verdict"] for run in result_of(bench, "runs")["runs"]] == ["passed"]
+    assert [run["verdict"] for run in result_of(bench, "runs")["runs"]] == ["conditional pass"]
     bench("verify", "finished", "--rule", "simple", "--limit", "3e-4")
     assert files["verify"].read_bytes() == own["verify"]
     assert bench("verify", "finished", "--limit", "1e-9", "--out", "here")[0] == 1

@@ -44,16 +44,16 @@ def told(bench, *arguments):
 
 def test_the_bench_file_says_how_a_verdict_is_found(bench, unit):
     file = edited_stand(
-        **{"limit: 3e-4 g   # Δg_A": "limit: 200 ug\n  rule: guarded\n  guard_band: 0.5\n"
+        **{"limit: 3e-4 g   # Δg_A": "limit: 240 ug\n  rule: guarded\n  guard_band: 0.5\n"
            "  population: {standard_deviation: 100 ug}"}
     )  # fmt: skip
     status, result = told(bench, *unit, "--bench", file)
     assert (result["rule"], result["guard_band"]) == ("guarded", 0.5)
-    assert (result["limit_g"], result["statement"]) == (pytest.approx(2e-4), "pass")
+    assert (result["limit_g"], result["statement"]) == (pytest.approx(2.4e-4), "pass")
     assert (status, result["passed"]) == (0, True)
     assert result["global_risk"]["population"] == {"mean": 0.0, "standard_deviation": pytest.approx(1e-4)}
     for point in result["points"]:
-        assert point["accepted_up_to"] == pytest.approx(2e-4 - 0.5 * point["U"])
+        assert point["accepted_up_to"] == pytest.approx(2.4e-4 - 0.5 * point["U"])
     # what the command names goes before
     status, result = told(bench, *unit, "--bench", file, "--rule", "guarded", "--guard-band", "1")
     assert (status, result["guard_band"], result["statement"]) == (1, 1.0, "conditional pass")

@@ -19,6 +19,7 @@ from bench.analysis.budget.propagation import (
     coverage_factor,
     effective_dof,
 )
+from bench.analysis.budget.seen import Seen
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import ErrorSource, sizes_by_name
 from bench.analysis.calibration.estimators import GLS
@@ -136,7 +137,7 @@ def make_budget(
     return Budget(estimator, setup, gain, contributions, probability)
 
 
-def parts_of(source: ErrorSource, setup: Setup, functionals: Floats) -> Floats:
+def parts_of(source: ErrorSource, setup: Seen, functionals: Floats) -> Floats:
     """Return what each draw of a source, one u large, adds to linear functionals (m, n, 3), shape (m, q)."""
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.u * np.concatenate(parts, axis=1)

@@ -17,7 +17,7 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import STAND_ERRORS, BenchFile
 from bench.files.bench.stand import ErrorSize, Location, MeasuredGravity
-from bench.model import STAND_ANGLES, Distribution
+from bench.model import STAND_ANGLES, Distribution, ForwardModel
 
 Common = Literal["reading", "setting", "angle", "orientation", "mounting", "run"]
 """What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
@@ -113,32 +113,48 @@ def bench_sources(
     Parameters of effects in the model of `setup` are sources, too; the priors of K2 and K3 stand only where the
     model has no such effect.
     """
+    return (*stand_sources(bench), *hidden_sources(bench, setup.model, day), *effect_sources(setup))
+
+
+def hidden_sources(
+    bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
+) -> tuple[ErrorSource, ...]:
+    """Return the sources that no reading of a calibration shows and no fit holds: priors where none is stated."""
     return (
-        *stand_sources(bench),
         *_voltmeter_sources(bench, day),
         *_head_table_source(bench),
         *_gravity_source(bench),
         _temperature_source(bench),
         *_thermometer_source(bench),
-        *_nonlinearity_sources(bench, setup),
-        *effect_sources(setup),
+        *_nonlinearity_sources(bench, model),
     )
 
 
 def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
-    """Return the stand errors of a bench file. The third mounting angle is zero unless it is stated."""
+    """Return the stand errors of a bench file. The third mounting angle is as `mounting_error` unless stated.
+
+    A surface that keeps one angle of the mounting no better keeps the other no better either.
+    """
     sizes = bench.stand_distributions()
     dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
-    return tuple(
-        stand_source(
-            name,
-            sizes[name],
-            dof.get(name, math.inf),
-            "bench file" if name in dof else "not stated: taken as zero",
-        )
-        for name in STAND_ERRORS
-        if name in dof or name == "mounting_roll"
-    )
+    stated = [
+        stand_source(name, sizes[name], dof[name], "bench file") for name in STAND_ERRORS if name in dof
+    ]
+    assumed = [
+        replace(stand_source(name, size, origin=ROLL_ORIGIN), prior=True)
+        for name, size in assumed_stand(bench).items()
+    ]
+    return (*stated, *assumed)
+
+
+ROLL_ORIGIN: Final = "not stated: as mounting_error"
+
+
+def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
+    """Return the stand errors that a bench file does not state but that no bench is without, by name."""
+    if bench.stand.mounting_roll is not None:
+        return {}
+    return {"mounting_roll": bench.stand_distributions()["mounting_error"]}
 
 
 def stand_source(
@@ -232,7 +248,7 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
         (prior if size is None else size.to_distribution()).u
         for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True)
     ]
-    source = _stated("temperature", "T", "K", "mounting", section.temperature, usual, origin)
+    source = _stated("temperature", "T", "K", "run", section.temperature, usual, origin)
     return replace(
         source,
         origin=f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)",
@@ -265,12 +281,12 @@ def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
         yield replace(source, factors=_temperature_source(bench).factors)
 
 
-def _nonlinearity_sources(bench: BenchFile, setup: Setup) -> Iterator[ErrorSource]:
+def _nonlinearity_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
     for name, effect, unit, prior in (
         ("K2", "quadratic_nonlinearity", "1/g", K2_PRIOR),
         ("K3", "cubic_nonlinearity", "1/g^2", K3_PRIOR),
     ):
-        known = {c for a in setup.model.effects if a.effect.name == effect for c in a.channels}
+        known = {c for a in model.effects if a.effect.name == effect for c in a.channels}
         left = tuple(channel for channel in CHANNELS if channel not in known)
         if left:
             stated: ErrorSize | None = getattr(bench.uncertainty, name)

@@ -19,7 +19,7 @@ MATTERS: Final = 0.02
 MOST_NAMED: Final = 8
 """More stand angles than these are told by their symbols."""
 
-GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and nothing shows it"
+GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it"
 GRAVITY: Final = (
     "local gravity: coefficients are per local g; a wrong value of it changes none of them, but "
     "whatever is computed from them in m/s^2"
@@ -55,7 +55,7 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
     sentences += _undetermined(columns.without(beyond).observability(block), unit)
     sentences += [
         GAIN,
-        f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and nothing shows it",
+        f"voltmeter offset: it goes whole into the biases, {unit} for {unit}, and no reading shows it",
         GRAVITY,
     ]
     return tuple(sentences)

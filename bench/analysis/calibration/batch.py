@@ -15,7 +15,8 @@ import numpy as np
 from bench.analysis.calibration import gls, mistakes
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
-from bench.analysis.calibration.noise import LEAST_REPEATS, noise_sizes, repeat_groups
+from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups
+from bench.analysis.calibration.repeats_likelihood import believed_sizes
 from bench.analysis.calibration.result import CalibrationError, Noise
 from bench.base.arrays import Floats, Ints, unit_vectors
 from bench.model.block import Block, linear_columns
@@ -34,8 +35,8 @@ class Batch:
     """Calibrations of many units.
 
     `coefficients` (units, 12) and `covariance` (units, 12, 12) in the order of `COEFFICIENTS`, per local g;
-    `stand` (units, q) the estimates of the stand's angles, rad, named by `stand_names`; `reading` (units,) and
-    `setting_rad` (units,) the sizes of the noise, `dof` their degrees of freedom.
+    `stand` (units, q) the estimates of the stand's angles, rad, named by `stand_names`; `reading` (units, 3) of
+    the channels and `setting_rad` (units,) the sizes of the noise, `dof` their degrees of freedom.
     """
 
     coefficients: Floats
@@ -157,13 +158,13 @@ def _calibrate(
         force = shared.forces(stand)
         left = signals - force @ np.swapaxes(K, 1, 2) - U0[:, None, :]
         slope = shared.by_angle @ np.swapaxes(K, 1, 2)
-        reading, setting = _sizes(shared, left, slope, noise, floor)
-        step, covariance = _step(shared, K, force, left, slope, reading, setting, stand)
+        reading, setting, dof = _sizes(shared, left, slope, noise, floor)
+        wider, wider_setting = reading * _widening(dof), setting * _widening(dof.mean(axis=1))
+        step, covariance = _step(shared, K, force, left, slope, wider, wider_setting, stand)
         K, U0 = K + step[:, :9].reshape(-1, 3, 3), U0 + step[:, 9:FIXED]
         stand = stand + step[:, FIXED:]
     coefficients = np.concatenate([K.reshape(-1, 9), U0], axis=1)
-    widening = _widening(shared, noise)
-    return coefficients, covariance, stand, reading / widening, setting / widening
+    return coefficients, covariance, stand, reading, setting
 
 
 def _refuse_singular(K: Floats) -> None:
@@ -172,33 +173,30 @@ def _refuse_singular(K: Floats) -> None:
     mistakes.refuse_singular(Block(K[int(np.argmin(size))], np.zeros(3)))
 
 
-def _widening(shared: _Shared, noise: Noise | None) -> float:
-    """By how much sizes that are estimates enter larger (`Noise.widened`): alike for all units."""
-    if noise is None:
-        noise = Noise(1.0, 1.0, 3.0 * float(shared.freedom.sum()), "repeats")
-    return noise.widened().reading / noise.reading
-
-
 def _sizes(
     shared: _Shared, left: Floats, slope: Floats, noise: Noise | None, floor: Floats
-) -> tuple[Floats, Floats]:
-    """Return the widened sizes of the noise, (units,) each, from the scatter of repeats or as given."""
-    widening = _widening(shared, noise)
+) -> tuple[Floats, Floats, Floats]:
+    """Return the sizes of the noise, (units, 3) and (units,), from the scatter of repeats or as given.
+
+    With the degrees of freedom of those of the channels, (units, 3).
+    """
     if noise is not None:
-        given = np.full(len(left), noise.reading), np.full(len(left), noise.setting_rad)
-        return widening * given[0], widening * given[1]
+        given = np.tile(noise.by_channel, (len(left), 1)), np.full(len(left), noise.setting_rad)
+        return *given, np.full((len(left), 3), noise.reading_dof)
     repeated = shared.freedom > 0
     deviation = left - (shared.means @ left)[:, shared.groups]
-    unit, length = unit_vectors(shared.means @ slope)
-    along = np.einsum("uni,uni->un", deviation, unit[:, shared.groups]) ** 2
-    total = np.einsum("uni,uni->un", deviation, deviation)
-    by_group = (shared.means > 0).astype(np.float64).T
-    along, total = along @ by_group, total @ by_group
-    across = (total - along)[:, repeated].sum(axis=1)
-    reading, setting = noise_sizes(
-        along[:, repeated], across, shared.freedom[repeated], length[:, repeated], floor
-    )
-    return widening * reading, widening * setting
+    products = np.einsum("uni,unj->unij", deviation, deviation).reshape(len(left), -1, 9)
+    by_group = (shared.means > 0).astype(np.float64)[repeated]
+    scatter = (by_group @ products).reshape(len(left), -1, 3, 3)
+    of = shared.freedom[repeated], (shared.means @ slope)[:, repeated]
+    found = believed_sizes(scatter, *of, floor)
+    return np.sqrt(found.variances[:, :3]), np.sqrt(found.variances[:, 3]), found.dof
+
+
+def _widening(dof: Floats) -> Floats:
+    """By how much sizes that are estimates enter larger, as `result.widening`."""
+    nu = np.maximum(dof, 4.0)
+    return np.where(np.isinf(nu), 1.0, np.sqrt(nu / np.where(np.isinf(nu), 4.0, nu - 2.0)))
 
 
 def _step(
@@ -207,7 +205,7 @@ def _step(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return the change of the unknowns (units, 12 + q) and the covariance of the coefficients (units, 12, 12).
 
-    By normal equations: R^-1 = (I - w d d^T)/sigma_u^2 with w = sigma_phi^2/(sigma_u^2 + sigma_phi^2 |d|^2).
+    By normal equations, channels over their noise: R^-1 = I - w d d^T, w = sigma_phi^2/(1 + sigma_phi^2 |d|^2).
     """
     units, n = left.shape[:2]
     prior_u = shared.problem.prior_u
@@ -218,16 +216,15 @@ def _step(
         columns[:, :, channel, 9 + channel] = 1.0
     by_stand = shared.by_stand.transpose(1, 0, 2).reshape(3, -1) * np.tile(prior_u, n)
     columns[:, :, :, FIXED:] = (K @ by_stand).reshape(units, 3, n, q).transpose(0, 2, 1, 3)
-    weight = setting[:, None] ** 2 / (
-        reading[:, None] ** 2 + setting[:, None] ** 2 * np.einsum("uni,uni->un", slope, slope)
-    )
+    columns, left = columns / reading[:, None, :, None], left / reading[:, None, :]
+    slope = slope / reading[:, None, :]
+    weight = setting[:, None] ** 2 / (1.0 + setting[:, None] ** 2 * np.einsum("uni,uni->un", slope, slope))
     along = (slope[:, :, None, :] @ columns)[:, :, 0] * np.sqrt(weight)[:, :, None]
     along_left = np.einsum("uni,uni->un", slope, left) * np.sqrt(weight)
     flat = columns.reshape(units, 3 * n, FIXED + q)
     turned, turned_along = np.swapaxes(flat, 1, 2), np.swapaxes(along, 1, 2)
-    normal = (turned @ flat - turned_along @ along) / reading[:, None, None] ** 2
-    right = turned @ left.reshape(units, 3 * n, 1) - turned_along @ along_left[:, :, None]
-    right = right[:, :, 0] / reading[:, None] ** 2
+    normal = turned @ flat - turned_along @ along
+    right = (turned @ left.reshape(units, 3 * n, 1) - turned_along @ along_left[:, :, None])[:, :, 0]
     places = np.arange(FIXED, FIXED + q)
     normal[:, places, places] += 1.0
     right[:, FIXED:] -= stand / prior_u

@@ -11,17 +11,30 @@ import numpy as np
 
 from bench.analysis.calibration import gls, mistakes, outliers
 from bench.analysis.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
+from bench.analysis.calibration.components import Shared, heavy_tails, take_in
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.analysis.calibration.estimator import Estimator, Task
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.linear import linear_estimate
+from bench.analysis.calibration.noise_notes import notes_on_noise
 from bench.analysis.calibration.outliers import Chosen
-from bench.analysis.calibration.result import Calibration, CalibrationError, Estimate, Noise, Outlier
+from bench.analysis.calibration.result import (
+    Calibration,
+    CalibrationError,
+    Estimate,
+    LackOfFit,
+    Noise,
+    Outlier,
+)
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
 from bench.readings.table import FREE, VERIFICATION, Readings
+
+LACK_OF_FIT_P: Final = 0.01
+"""A model fits readings where chance leaves so much at least this often."""
 
 ROUNDING: Final = 1e-9
 """Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
@@ -35,19 +48,22 @@ def calibrate(
     estimator: str = GLS,
     noise: Noise | None = None,
     *,
+    assumed_u: Mapping[str, float] | None = None,
     nominal_angles: bool = False,
     join_free: bool = True,
     join_verification: bool = False,
+    find_shared: bool = True,
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
     `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`,
-    rad; the sizes of the noise are estimated from the readings unless given as `noise`. Coefficients are per
+    rad, `assumed_u` those that nobody stated: they are in the covariance, and not in that of the readings alone.
+    The sizes of the noise are estimated from the readings unless given as `noise`. Coefficients are per
     local g, stated as `g_m_s2`. With `nominal_angles` the targets stand in for the angles read back. Free
     positions join the oriented rows by |a| = 1 g unless `join_free` is false, verification points where
     `join_verification` says so, for they are the independent check. Where there are free positions alone K is
-    upper triangular by convention. Raises `CalibrationError` when the readings do not determine the
-    coefficients, or hold a mistake.
+    upper triangular by convention. Without `find_shared` the noise is taken as fresh in every reading.
+    Raises `CalibrationError` when the readings do not determine the coefficients, or hold a mistake.
     """
     by = find_estimator(estimator)
     chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
@@ -57,15 +73,21 @@ def calibrate(
     conditions = rows.conditions()
     if by.angles_rad is not None:
         conditions = replace(conditions, angle_rad=by.angles_rad(rows))
-    problem = make_problem(model, conditions, stand_u, _free_rows(chosen, readings))
+    assumed = dict(assumed_u or {})
+    problem = make_problem(model, conditions, {**stand_u, **assumed}, _free_rows(chosen, readings))
     resolution = (rows if len(rows) else chosen.free).resolution
     start = first_guess(problem, rows.signal, resolution)
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
     fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
     fit_test = gls.lack_of_fit(problem, fit)
+    tails = heavy_tails(problem, fit)
+    floor = gls.noise_floor(rows.signal, resolution, problem.free)
+    shared = take_in(problem, fit, readings.unit, floor) if find_shared else Shared(fit)
+    fit = shared.fit
     if by.gain is not None:
-        fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows))
-    covariance = fit.covariance[:FIXED, :FIXED]
+        fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
+    birge = _birge(fit_test, shared)
+    covariance = birge**2 * fit.covariance[:FIXED, :FIXED]
     mistakes.refuse_singular(fit.block, u_of(covariance))
     return Calibration(
         estimator=by.name,
@@ -73,6 +95,13 @@ def calibrate(
         g_m_s2=g_m_s2,
         block=fit.block,
         covariance=covariance,
+        covariance_readings=covariance - birge**2 * _of_assumed(problem, fit, assumed, by),
+        gain=_whole_gain(fit.gain, fit.free_gain, chosen, len(readings)),
+        slope=_whole(fit.slope, chosen, len(readings)),
+        shared=shared.components,
+        drift=shared.drift,
+        birge=birge,
+        p_tails=tails,
         noise=fit.noise,
         lack_of_fit=replace(fit_test, rms=rms(fit.residuals)),
         fitted=rows,
@@ -85,7 +114,11 @@ def calibrate(
         free=chosen.free if len(chosen.free) else None,
         modulus_error=fit.modulus,
         outliers=found,
-        notes=(*_notes_on_rows(readings, chosen, by.name, join_free=join_free), *notes),
+        notes=(
+            *_notes_on_rows(readings, chosen, by.name, join_free=join_free),
+            *notes,
+            *notes_on_noise(fit.noise, float("nan") if notes else tails, shared, birge, readings.unit),
+        ),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
         angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
     )
@@ -195,6 +228,45 @@ def _fitted(
         for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
+
+
+def _birge(test: LackOfFit, shared: Shared) -> float:
+    """Return by how much u widens for what the model leaves, where no component of the readings has taken it in.
+
+    The Birge ratio, the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
+    """
+    if shared.components or not test.p < LACK_OF_FIT_P or test.dof <= 0:
+        return 1.0
+    return max(1.0, float(np.sqrt(test.chi2 / test.dof)))
+
+
+def _of_assumed(problem: Problem, fit: gls.Fit, assumed: Mapping[str, float], by: Estimator) -> Floats:
+    """Return the part (12, 12) of the covariance that the stand's angles of sizes nobody stated bring in."""
+    names = [STAND_ANGLES[unknown.column] for unknown in problem.stand]
+    places = [j for j, name in enumerate(names) if name in assumed]
+    if not places:
+        return np.zeros((FIXED, FIXED))
+    if by.gain is not None:
+        own = problem.jacobian(fit.block, fit.others)[:, :, [FIXED + j for j in places]]
+        parts = np.einsum("pni,niq->pq", fit.gain, own) * problem.prior_u[places]
+        return np.asarray(parts @ parts.T)
+    at = FIXED + np.array(places)
+    across = fit.covariance[:FIXED, at]
+    return np.asarray(across @ np.linalg.solve(fit.covariance[np.ix_(at, at)], across.T))
+
+
+def _whole(oriented: Floats, chosen: Chosen, rows: int) -> Floats:
+    whole = np.zeros((rows, 3))
+    whole[chosen.oriented_rows] = oriented
+    return whole
+
+
+def _whole_gain(oriented: Floats, free: Floats, chosen: Chosen, rows: int) -> Floats:
+    """Return the map (12, rows, 3) from the whole table to the coefficients, zero for rows that are not used."""
+    whole = np.zeros((FIXED, rows, 3))
+    whole[:, chosen.oriented_rows] = oriented[:FIXED]
+    whole[:, chosen.free_rows] = free[:FIXED]
+    return whole
 
 
 def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:

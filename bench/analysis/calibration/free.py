@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem
 from bench.analysis.calibration.mistakes import refuse_still
-from bench.analysis.calibration.result import CalibrationError, Triangular
+from bench.analysis.calibration.result import CalibrationError, Noise, Triangular
 from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import Floats
 from bench.model.block import Block
@@ -31,27 +31,31 @@ PRODUCTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz", "x", "y", "z")
 class Modulus:
     """Rows of the modulus, in g, about a point.
 
-    `left` (m,) is 1 - |a|, `jacobian` (m, 12 + q) d|a| by the unknowns, `weight` (m,) |d|a|/dU|, g/unit.
+    `left` (m,) is 1 - |a|, `jacobian` (m, 12 + q) d|a| by the unknowns, `by_signal` (m, 3) d|a|/dU, g/unit.
     """
 
     left: Floats
     jacobian: Floats
-    weight: Floats
+    by_signal: Floats
+
+    def noise(self, sizes: Noise) -> Floats:
+        """Return the noise of each row, g, shape (m,)."""
+        return np.asarray(np.linalg.norm(self.by_signal * sizes.by_channel, axis=1))
 
 
-NO_MODULI: Final = Modulus(np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+NO_MODULI: Final = Modulus(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)))
 
 
 def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
     """Return the rows of the problem's free readings about a point."""
     if problem.free is None:
-        return Modulus(np.zeros(0), np.zeros((0, FIXED + len(others))), np.zeros(0))
+        return Modulus(np.zeros(0), np.zeros((0, FIXED + len(others))), np.zeros((0, 3)))
     force = _force(problem, problem.free, block, others)
     columns = np.zeros((len(force), FIXED + len(others)))
     columns[:, :FIXED], by_signal = modulus_slopes(force, block)
     if problem.model.effects:
         _differences(problem, block, others, columns)
-    return Modulus(1.0 - np.linalg.norm(force, axis=1), columns, np.linalg.norm(by_signal, axis=1))
+    return Modulus(1.0 - np.linalg.norm(force, axis=1), columns, by_signal)
 
 
 def _differences(problem: Problem, block: Block, others: Floats, columns: Floats) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem
 from bench.analysis.calibration.estimator import Estimator
@@ -25,8 +25,9 @@ from bench.analysis.calibration.noise import (
     repeat_groups,
     scatter_of_repeats,
     whiten,
+    whiten_back,
 )
-from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
+from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise, widening
 from bench.base.arrays import Floats, Ints, rms
 from bench.model.block import Block
 
@@ -65,7 +66,8 @@ class Fit:
     """Estimates of all unknowns of a problem and their joint covariance (12 + q, 12 + q).
 
     `noise` is as estimated, the covariance has it widened. `gain` (12 + q, n, 3) is the linear map from
-    oriented readings to unknowns; `misfit` the chi-square left, the priors' part included; `residuals` (n, 3)
+    oriented readings to unknowns, `free_gain` (12 + q, m, 3) that from free ones; `misfit` the
+    chi-square left, the priors' part included; `residuals` (n, 3)
     in the unit of the signal, `modulus` (m,) |a| - 1 of the free readings in g; what is shifted stays in both.
     `shift` and `u_shift` (k,) are the estimates of `shifts`, with u from the noise as it is; `system` is that
     of the last point.
@@ -75,6 +77,7 @@ class Fit:
     others: Floats
     covariance: Floats
     gain: Floats
+    free_gain: Floats
     noise: Noise
     misfit: float
     residuals: Floats
@@ -93,18 +96,21 @@ def fit(
     noise: Noise | None = None,
     resolution: float = 0.0,
     shifts: tuple[Shift, ...] = (),
+    *,
+    one_size: bool = False,
 ) -> Fit:
     """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
 
     Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
-    Each of `shifts` is an unknown more, of which nothing is known before. Raises `CalibrationError` where the
-    fit does not come to rest.
+    Each of `shifts` is an unknown more, of which nothing is known before. With `one_size` the channels have noise
+    of one size, without each its own where they differ. Raises `CalibrationError` where the fit does not come to
+    rest.
     """
     block, others = start, problem.prior_mean
     floor = noise_floor(signal, resolution, problem.free)
     groups = _groups_without(problem, shifts)
     places = _places(problem, len(shifts), len(others))
-    moved, repeats = np.inf, RepeatedNoise(floor, groups)
+    moved, repeats = np.inf, RepeatedNoise(floor, groups, one_size=one_size)
     for _ in range(MOST_ITERATIONS):
         system = linearise(problem, signal, block, others, shifts)
         if noise is not None:
@@ -186,6 +192,45 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
     return _Places(unknowns, own, np.arange(active, active + shifts))
 
 
+def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
+    """Take the last step of a fit once more, with a covariance (3n + m, 3n + m) of all its readings.
+
+    `noise` are the sizes that go with it. The step is linear: the point of the fit is the one at which it rests.
+    """
+    system, others = fit.system, fit.others
+    places = _places(problem, len(fit.shifts), len(others))
+    n, p = len(system.left), system.jacobian.shape[2]
+    rows = np.concatenate([system.jacobian.reshape(3 * n, p), system.free.jacobian])
+    target = np.concatenate([system.left.ravel(), system.free.left])
+    lower = np.linalg.cholesky(covariance)
+    whitened = linalg.solve_triangular(lower, np.column_stack([rows, target]), lower=True)
+    scale = np.concatenate([np.ones(p - len(others)), problem.prior_u])
+    prior = np.zeros((len(others), p + 1))
+    prior[:, p - len(others) : p] = np.eye(len(others))
+    prior[:, p] = (problem.prior_mean - others) / problem.prior_u
+    scaled = np.concatenate([whitened[:, :p] * scale, prior[:, :p]])
+    q, r = np.linalg.qr(scaled)
+    inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
+    found = inverse @ (q.T @ np.concatenate([whitened[:, p], prior[:, p]]))
+    back = linalg.solve_triangular(lower, q[: len(target)], lower=True, trans="T")
+    gain = inverse @ back.T
+    step = np.zeros(FIXED + len(others))
+    step[places.unknowns] = found[places.own]
+    block = Block.from_vector(fit.block.vector + step[:FIXED])
+    return _result(
+        problem,
+        system,
+        block,
+        others + step[FIXED:],
+        noise,
+        places,
+        found,
+        inverse @ inverse.T,
+        gain,
+        fit.shifts,
+    )
+
+
 def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None) -> float:
     """Return the least noise that is believed for signals (n, 3) given to `resolution`, in their unit."""
     largest = float(np.max(np.abs(signal), initial=0.0))
@@ -225,14 +270,17 @@ def _result(
     whitened = whiten(kept[:, :, None], system.slope, sizes)
     pulls = (others - problem.prior_mean) / problem.prior_u
     misfit = np.sum(whitened**2) + np.sum(pulls**2)
-    misfit += np.sum((kept_free / (system.free.weight * sizes.reading)) ** 2)
-    whole, whole_gain = np.zeros((FIXED + len(others),) * 2), np.zeros((FIXED + len(others), n, 3))
+    misfit += np.sum((kept_free / system.free.noise(sizes)) ** 2)
+    whole, whole_gain = np.zeros((FIXED + len(others),) * 2), np.zeros((FIXED + len(others), gain.shape[1]))
     whole[np.ix_(places.unknowns, places.unknowns)] = covariance[np.ix_(places.own, places.own)]
     whole_gain[places.unknowns] = gain[places.own]
-    as_it_is = sizes.reading / sizes.widened().reading
+    by_row = whole_gain[:, : 3 * n].reshape(len(whole), n, 3)
+    # the row of a free reading is 1 - |a|, so that a signal enters with the sign turned
+    by_free = -whole_gain[:, 3 * n :, None] * system.free.by_signal
+    as_it_is = 1.0 / widening(sizes.reading_dof)
     u_shift = as_it_is * np.sqrt(np.diag(covariance)[places.shifts])
     return Fit(
-        block, others, whole, whole_gain, sizes, float(misfit), system.left, system.slope,
+        block, others, whole, by_row, by_free, sizes, float(misfit), system.left, system.slope,
         -system.free.left, shifts, shift, u_shift, system,
     )  # fmt: skip
 
@@ -255,21 +303,23 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
         [free.jacobian, free.left + free.jacobian[:, fixed:] @ (others - problem.prior_mean)]
     )
     own[:, fixed:-1] *= problem.prior_u
-    return noise_from_residuals(whole, scaled, slope, fixed, floor, own / free.weight[:, None])
+    alike = np.linalg.norm(free.by_signal, axis=1)
+    return noise_from_residuals(whole, scaled, slope, fixed, floor, own / alike[:, None])
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> tuple[Floats, Floats, Floats]:
-    """One step: the change of the unknowns, their covariance, and the gain from readings to unknowns."""
+    """One step: the change of the unknowns, their covariance, and the gain from rows to unknowns, (p, 3n + m)."""
     n, _, p = system.jacobian.shape
     rows, target, scale = whitened_rows(problem, system, noise, others)
     q, r = np.linalg.qr(rows)
     inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
     covariance = inverse @ inverse.T
     step = inverse @ (q.T @ target)
-    # R^(-1/2) is symmetric, so the gain from raw readings is the whitened gain, whitened once more
     whitened_gain = (inverse @ q[: 3 * n].T).reshape(p, n, 3)
-    gain = np.moveaxis(whiten(np.moveaxis(whitened_gain, 0, 2), system.slope, noise), 2, 0)
-    return step, covariance, gain
+    gain = np.moveaxis(whiten_back(np.moveaxis(whitened_gain, 0, 2), system.slope, noise), 2, 0)
+    m = len(system.free.left)
+    of_free = inverse @ q[3 * n : 3 * n + m].T / system.free.noise(noise)
+    return step, covariance, np.concatenate([gain.reshape(p, 3 * n), of_free], axis=1)
 
 
 def whitened_rows(
@@ -290,7 +340,7 @@ def whitened_rows(
     both = whiten(columns, system.slope, noise).reshape(3 * n, p + 1)
     blocks, targets = [both[:, :p] * scale], [both[:, p]]
     if len(free.left):
-        size = noise.reading * free.weight
+        size = free.noise(noise)
         blocks.append(free.jacobian * scale / size[:, None])
         targets.append(free.left / size)
     blocks.append(prior_rows)
@@ -324,9 +374,9 @@ def misfit_test(
     dof -= 3 * scatter.settings
     if noise.source != "repeats" or dof <= 0:
         return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
-    variance = noise.reading**2
-    along = variance + (noise.setting_rad * scatter.slope) ** 2
-    pure_error = float(np.sum(scatter.across) / variance + np.sum(scatter.along / along))
+    across = np.diag(noise.by_channel**2)
+    own = across + noise.setting_rad**2 * scatter.slope[:, :, None] * scatter.slope[:, None, :]
+    pure_error = float(np.einsum("gij,gji->", np.linalg.inv(own), scatter.matrix))
     chi2 = max(misfit - pure_error, 0.0)
     # the scatter over its own freedom is 1 by construction: the noise was estimated from it
     return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))

@@ -24,11 +24,14 @@ def least_squares_gain(problem: Problem) -> Floats:
     return np.asarray(inverse, dtype=np.float64).reshape(FIXED, len(columns), 3)
 
 
-def linear_estimate(problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats) -> gls.Fit:
+def linear_estimate(
+    problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats, shared: Floats | None = None
+) -> gls.Fit:
     """Return the estimate by a gain (12, n, 3), with the covariance that the errors of the bench give to it.
 
     `fit` is that of generalised least squares on the same readings: it has the noise, and the point at which
-    effects of the model are taken off at their stated values. The misfit stays that of `fit`: a fixed
+    effects of the model are taken off at their stated values. `shared` (3n, 3n) is the covariance of the readings
+    where it is not that of the noise alone. The misfit stays that of `fit`: a fixed
     weighting leaves the stand's angles in its residuals, where they would pass for a lack of fit of the model.
     """
     others = problem.prior_mean
@@ -41,10 +44,13 @@ def linear_estimate(problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats
     noise, slope = fit.noise.widened(), fit.slope
     # G R G^T from R = sigma_u^2 I + sigma_phi^2 d d^T of each reading, then the stand's angles
     along = np.einsum("pni,ni->pn", gain, slope) * noise.setting_rad
-    flat = gain.reshape(FIXED, -1) * noise.reading
+    flat = (gain * noise.by_channel).reshape(FIXED, -1)
+    of_noise = flat @ flat.T + along @ along.T
+    if shared is not None:
+        of_noise = gain.reshape(FIXED, -1) @ shared @ gain.reshape(FIXED, -1).T
     columns = problem.jacobian(block, others)[:, :, FIXED:] * problem.prior_u
     fixed = np.einsum("pni,niq->pq", gain, columns)
-    covariance = flat @ flat.T + along @ along.T + fixed @ fixed.T
+    covariance = of_noise + fixed @ fixed.T
     residuals = signal - problem.predict(block, others)
     return replace(fit, block=block, others=others, covariance=covariance, gain=gain, residuals=residuals)
 

@@ -1,21 +1,21 @@
 """How large the noise really is: estimated from repeats, not believed.
 
 A reading is the model plus a setting error common to its three channels, which acts along
-d = du/dphi, plus noise fresh in each channel: its covariance is sigma_u^2 I + sigma_phi^2 d d^T.
-Along d and across it the scatter separates, so the restricted likelihood is a sum of four closed forms.
+d = du/dphi, plus noise fresh in each channel and of a size of its own there: its covariance is
+diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2 d d^T. The sizes are those of the restricted likelihood.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize
 
+from bench.analysis.calibration.repeats_likelihood import believed_sizes
 from bench.analysis.calibration.result import Noise
-from bench.base.arrays import Floats, Ints, least_squares, unit_vectors
+from bench.base.arrays import Floats, Ints, least_squares, rms, unit_vectors
 from bench.model.conditions import Conditions
 
 LEAST_REPEATS: Final = 12
@@ -27,14 +27,13 @@ SAME_SCATTER: Final = 1e-3
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter within groups of repeats: sums of squares along d and across it, per group.
+    """Scatter within groups of repeats.
 
-    `along`, `across` (groups,) in unit^2, `freedom` (groups,) readings less one, `slope` (groups,) |d| in
-    unit/rad.
+    `matrix` (groups, 3, 3) is the sum of d d^T over the deviations of a group from its mean, unit^2; `freedom`
+    (groups,) readings less one, `slope` (groups, 3) the mean of du/dphi, unit/rad.
     """
 
-    along: Floats
-    across: Floats
+    matrix: Floats
     freedom: Ints
     slope: Floats
 
@@ -46,8 +45,8 @@ class Scatter:
     def is_close_to(self, other: Scatter) -> bool:
         """Whether another scatter of the same groups would give the same sizes, to a part in a thousand."""
         return all(
-            float(np.abs(a - b).sum()) <= SAME_SCATTER * float(b.sum())
-            for a, b in ((self.along, other.along), (self.across, other.across), (self.slope, other.slope))
+            float(np.abs(a - b).sum()) <= SAME_SCATTER * float(np.abs(b).sum())
+            for a, b in ((self.matrix, other.matrix), (self.slope, other.slope))
         )
 
 
@@ -64,17 +63,13 @@ def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatte
     Residuals, not readings: the angle read back differs a little from repeat to repeat.
     """
     count = np.bincount(groups)
-    mean = _group_sum(residuals, groups) / count[:, None]
-    unit, length = unit_vectors(_group_sum(slope, groups) / count[:, None])
-    deviation = residuals - mean[groups]
-    along = np.einsum("ni,ni->n", deviation, unit[groups]) ** 2
-    total = np.einsum("ni,ni->n", deviation, deviation)
+    deviation = residuals - (_group_sum(residuals, groups) / count[:, None])[groups]
+    products = (deviation[:, :, None] * deviation[:, None, :]).reshape(-1, 9)
     repeated = count > 1
     return Scatter(
-        along=_group_sum(along[:, None], groups)[repeated, 0],
-        across=_group_sum((total - along)[:, None], groups)[repeated, 0],
+        matrix=_group_sum(products, groups)[repeated].reshape(-1, 3, 3),
         freedom=(count - 1)[repeated],
-        slope=length[repeated],
+        slope=(_group_sum(slope, groups) / count[:, None])[repeated],
     )
 
 
@@ -82,17 +77,32 @@ def _group_sum(values: Floats, groups: Ints) -> Floats:
     return np.stack([np.bincount(groups, column).astype(np.float64) for column in values.T], axis=1)
 
 
-def noise_from_repeats(scatter: Scatter, floor: float) -> Noise:
-    """Restricted maximum likelihood of the two noise sizes from repeats.
+def noise_from_repeats(scatter: Scatter, floor: float, *, one_size: bool = False) -> Noise:
+    """Restricted maximum likelihood of the sizes of the noise from repeats, of each channel its own if they differ.
 
     `floor` (unit of the signal) is the least noise that is believed: the last digit of a reply.
     """
-    reading, setting = noise_sizes(
-        scatter.along[None], scatter.across.sum(keepdims=True), scatter.freedom, scatter.slope[None], floor
+    found = believed_sizes(
+        scatter.matrix[None], scatter.freedom, scatter.slope[None], floor, one_size=one_size
     )
-    slope2 = float(np.mean(scatter.slope**2))
-    limits = setting_limits(float(reading[0]), float(setting[0]), slope2, scatter.settings)
-    return Noise(float(reading[0]), float(setting[0]), 3.0 * scatter.settings, "repeats", limits)
+    channels, setting = np.sqrt(found.variances[0, :3]), float(np.sqrt(found.variances[0, 3]))
+    slope2 = float(np.mean(np.sum(scatter.slope**2, axis=1)))
+    reading = rms(channels)
+    noise = Noise(
+        reading,
+        setting,
+        3.0 * scatter.settings,
+        "repeats",
+        setting_limits(reading, setting, slope2, scatter.settings),
+        p_equal=float(found.p_equal[0]),
+    )
+    if found.alike[0]:
+        return noise
+    return replace(noise, channels=_three(channels), channel_dof=_three(found.dof[0]))
+
+
+def _three(values: Floats) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 class RepeatedNoise:
@@ -102,8 +112,9 @@ class RepeatedNoise:
     nearly alike.
     """
 
-    def __init__(self, floor: float, groups: Ints) -> None:
+    def __init__(self, floor: float, groups: Ints, *, one_size: bool = False) -> None:
         self._floor = floor
+        self._one_size = one_size
         self._groups = groups
         self._known: tuple[Scatter, Noise] | None = None
 
@@ -115,100 +126,12 @@ class RepeatedNoise:
         if scatter.settings < LEAST_REPEATS:
             return None
         if self._known is None or not scatter.is_close_to(self._known[0]):
-            self._known = scatter, noise_from_repeats(scatter, self._floor)
+            self._known = scatter, noise_from_repeats(scatter, self._floor, one_size=self._one_size)
         return self._known[1]
 
 
 LEAST_SETTING: Final = 1e-3
 """Least setting error, as a part of the reading noise, both as they show in the signals."""
-GRID: Final = np.linspace(2 * np.log(LEAST_SETTING), 36.0, 51)
-"""Logarithms of the ratio of the two variances that are tried first: up to settings and hardly any noise."""
-SECANTS: Final = 30
-"""Most steps of regula falsi from a bracket of the grid."""
-NO_SLOPE: Final = 1e-7
-"""Derivative of the likelihood, over the degrees of freedom, that counts as none."""
-
-
-def noise_sizes(
-    along: Floats, across: Floats, freedom: Ints, slope: Floats, floor: float | Floats
-) -> tuple[Floats, Floats]:
-    """Return reading noise (runs,) and setting error (runs,), rad, of many runs from their scatter at once.
-
-    `along` (runs, groups), `across` (runs,) summed over groups, `freedom` (groups,), `slope` (runs, groups).
-    For a ratio of the two variances the likelihood gives the reading noise in closed form; the ratio is found
-    on a grid, then by regula falsi (Illinois) where the derivative changes its sign.
-    """
-    scale = slope**2 @ freedom / freedom.sum()
-    likelihood = _Profile(
-        along,
-        across,
-        freedom.astype(np.float64),
-        slope**2 / np.where(scale > 0, scale, 1.0)[:, None],
-        np.broadcast_to(np.square(floor), across.shape),
-    )
-    best = np.argmin(likelihood.minus_two_log(GRID), axis=1)
-    low, high = GRID[np.maximum(best - 1, 0)], GRID[np.minimum(best + 1, len(GRID) - 1)]
-    ratio = np.exp(_root(likelihood.derivative, low, high, NO_SLOPE * float(freedom.sum())))
-    reading = np.sqrt(likelihood.variance(1 / (1 + ratio[:, None] * likelihood.slope2)))
-    return reading, np.where(scale > 0, reading * np.sqrt(ratio / np.where(scale > 0, scale, 1.0)), 0.0)
-
-
-@dataclass(frozen=True)
-class _Profile:
-    """Restricted likelihood of the logarithm of the ratio of variances; arrays as in `noise_sizes`."""
-
-    along: Floats
-    across: Floats
-    freedom: Floats
-    slope2: Floats
-    least: Floats
-
-    def variance(self, rest: Floats) -> Floats:
-        """Variance of the reading noise (runs,) that goes with `rest` (runs, groups), 1/(1 + ratio slope2)."""
-        left = self.across + np.einsum("rg,rg->r", self.along, rest)
-        return np.asarray(np.maximum(left / (3 * self.freedom.sum()), self.least))
-
-    def minus_two_log(self, log_ratio: Floats) -> Floats:
-        """Return -2 log L on a grid (k,), shape (runs, k)."""
-        total = 1 + np.exp(log_ratio)[:, None] * self.slope2[:, None, :]
-        left = self.across[:, None] + np.einsum("rg,rkg->rk", self.along, 1 / total)
-        count = 3 * self.freedom.sum()
-        variance = np.maximum(left / count, self.least[:, None])
-        return np.asarray(count * np.log(variance) + left / variance + np.log(total) @ self.freedom)
-
-    def derivative(self, log_ratio: Floats) -> Floats:
-        """Return its derivative for a ratio of each run (runs,)."""
-        part = np.exp(log_ratio)[:, None] * self.slope2
-        rest = 1 / (1 + part)
-        share = part * rest
-        scatter = np.einsum("rg,rg->r", self.along, share * rest) / self.variance(rest)
-        return np.asarray(share @ self.freedom - scatter)
-
-
-def _root(function: Callable[[Floats], Floats], low: Floats, high: Floats, nothing: float) -> Floats:
-    """Return where a function changes from negative to positive between `low` and `high`, else that end."""
-    at_low, at_high = function(low), function(high)
-    rising, falling = at_low >= 0, at_high <= 0
-    best = np.where(rising, low, high)
-    inside = ~rising & ~falling
-    if not np.any(inside):
-        return np.asarray(best)
-    at_low, at_high = np.where(inside, at_low, -1.0), np.where(inside, at_high, 1.0)
-    side = np.zeros(len(low), dtype=np.int64)
-    for _ in range(SECANTS):
-        middle = (low * at_high - high * at_low) / (at_high - at_low)
-        value = function(middle)
-        best = np.where(inside, middle, best)
-        if np.all(np.abs(value[inside]) < nothing):
-            break
-        negative = value < 0
-        # where the same end moves twice, the other's weight is halved: the Illinois rule
-        at_high = np.where(negative, np.where(side < 0, at_high / 2, at_high), value)
-        at_low = np.where(negative, value, np.where(side > 0, at_low / 2, at_low))
-        low, high = np.where(negative, middle, low), np.where(negative, high, middle)
-        side = np.where(negative, -1, 1)
-        at_low, at_high = np.minimum(at_low, -1e-300), np.maximum(at_high, 1e-300)
-    return np.asarray(best)
 
 
 def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: float) -> tuple[float, float]:
@@ -296,8 +219,22 @@ def _noise_from_free(rows: Floats, floor: float) -> Noise:
 
 
 def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
-    """Return R^(-1/2) times columns (n, 3, p), R = sigma_u^2 I + sigma_phi^2 d d^T of each reading."""
+    """Return W times columns (n, 3, p), where W^T W is the inverse of the covariance of each reading.
+
+    W = (I + s s^T)^(-1/2) D^(-1) with D = diag(sigma_x, sigma_y, sigma_z), s = sigma_phi D^(-1) d.
+    """
+    sizes = noise.by_channel
+    return _shrunk(columns / sizes[:, None], slope / sizes, noise.setting_rad)
+
+
+def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
+    """Return W^T times columns (n, 3, p), W as in `whiten`: from whitened readings back to raw ones."""
+    sizes = noise.by_channel
+    return np.asarray(_shrunk(columns, slope / sizes, noise.setting_rad) / sizes[:, None])
+
+
+def _shrunk(columns: Floats, slope: Floats, setting_rad: float) -> Floats:
     unit, length = unit_vectors(slope)
-    shrink = 1.0 - noise.reading / np.hypot(noise.reading, noise.setting_rad * length)
+    shrink = 1.0 - 1.0 / np.hypot(1.0, setting_rad * length)
     along = np.einsum("nip,ni->np", columns, unit) * shrink[:, None]
-    return np.asarray((columns - unit[:, :, None] * along[:, None, :]) / noise.reading)
+    return np.asarray(columns - unit[:, :, None] * along[:, None, :])

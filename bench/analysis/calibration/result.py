@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, Floats, HasCovariance, rms
+from bench.base.arrays import ARCSEC, Floats, HasCovariance, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
+
+if TYPE_CHECKING:
+    from bench.analysis.calibration.components import Component, Drift
+
+COVERAGE_FACTOR: Final = 2.0
+"""U is so many times u."""
 
 HARDLY_BETTER = 0.95
 """An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""
@@ -49,6 +55,9 @@ class Noise:
     of the head and common to its three channels. `dof` are the degrees of freedom of the estimate (counted
     in single signals), infinite when given. `source` says where the sizes come from. `setting_limits_rad` are
     the values between which the setting error lies with about 95 %: repeats often tell little of it.
+    `channels` are the sizes in x, y, z where they are not of one size, with degrees of freedom `channel_dof`;
+    `reading` is their root mean square. `p_equal` is the probability of such a difference where all three are of
+    one size (NaN where not tested).
     """
 
     reading: float
@@ -56,13 +65,24 @@ class Noise:
     dof: float
     source: str
     setting_limits_rad: tuple[float, float] | None = None
+    channels: tuple[float, float, float] | None = None
+    channel_dof: tuple[float, float, float] | None = None
+    p_equal: float = float("nan")
+
+    @property
+    def by_channel(self) -> Floats:
+        """Sizes in x, y and z, shape (3,): `reading` where they were not told apart."""
+        return np.full(3, self.reading) if self.channels is None else np.array(self.channels)
 
     @property
     def reading_dof(self) -> float:
         """Degrees of freedom of the reading noise: two of three signals tell of it, the third of the setting.
 
-        Where no setting is known, as for free positions, all of them do.
+        Where no setting is known, as for free positions, all of them do. Those of channels with sizes of their
+        own are their mean.
         """
+        if self.channel_dof is not None:
+            return float(np.mean(self.channel_dof))
         return 2 * self.dof / 3 if self.setting_rad > 0 else self.dof
 
     def widened(self) -> Noise:
@@ -73,9 +93,18 @@ class Noise:
         """
         if np.isinf(self.dof):
             return self
-        nu = max(self.reading_dof, 4.0)
-        factor = float(np.sqrt(nu / (nu - 2)))
-        return replace(self, reading=factor * self.reading, setting_rad=factor * self.setting_rad)
+        factor = widening(self.reading_dof)
+        wider = replace(self, reading=factor * self.reading, setting_rad=factor * self.setting_rad)
+        if self.channels is None or self.channel_dof is None:
+            return wider
+        x, y, z = (widening(nu) * size for nu, size in zip(self.channel_dof, self.channels, strict=True))
+        return replace(wider, channels=(x, y, z), reading=rms(np.array([x, y, z])))
+
+
+def widening(dof: float) -> float:
+    """Return sqrt(nu/(nu - 2)), by which a size with nu degrees of freedom enters larger; nu is 4 at least."""
+    nu = max(dof, 4.0)
+    return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
 
 
 @dataclass(frozen=True)
@@ -162,14 +191,53 @@ def values_with_u(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
 
 
 @dataclass(frozen=True)
+class SourceOfError:
+    """An error that these readings do not show, and what it adds: `covariance` (12, 12) of the coefficients.
+
+    `size` says in words how large it is taken, `origin` from where; `prior` that nobody stated it for this bench.
+    `cancels` tells that it acts alike wherever the same meters read the block.
+    """
+
+    name: str
+    symbol: str
+    size: str
+    origin: str
+    prior: bool
+    dof: float
+    covariance: Floats
+    cancels: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "name": self.name,
+            "symbol": self.symbol,
+            "size": self.size,
+            "origin": self.origin,
+            "prior": self.prior,
+            "dof": finite_or_none(self.dof),
+            "u": dict(zip(COEFFICIENTS, u_of(self.covariance).tolist(), strict=True)),
+            "cancels_with_the_same_meters": self.cancels,
+        }
+
+
+@dataclass(frozen=True)
 class Calibration(HasCovariance):
     """The twelve coefficients and what belongs to them.
 
-    `covariance` (12, 12) in the order of `COEFFICIENTS`; K in unit/g with g = `g_m_s2`, biases in unit.
+    `covariance` (12, 12) in the order of `COEFFICIENTS` is the combined one, as far as `sources` go, and
+    `covariance_readings` the part of these readings and of the stand as it is stated; K in unit/g with
+    g = `g_m_s2`, biases in unit.
     `stand` holds what the data tell of the stand ("alpha1[1]"), `effects` the fitted parameters of effects.
     `fitted` are the readings used, `residuals` (n, 3) measured minus fitted with the stand's angles and the
     effects at their estimates. `free` are the readings that joined by their modulus, `modulus_error` (m,)
     |a| - 1 of each in g. `outliers` have no weight in the estimate; `notes` says what a reader should know.
+    `gain` (12, N, 3) is the map from the signals of the whole table to the coefficients, `slope`
+    (N, 3) du/dphi of them, zero for rows that are not oriented. `shared` are variances
+    that readings share, `drift` how the biases wander, `birge` by how much u was widened where the model does not
+    fit, `p_tails` the probability of such tails in Gaussian noise. `sources` are the errors
+    in the covariance that no reading shows; `gravity_u`, relative, is in none of these: K is per local g. `dof`
+    (12,) are effective degrees of freedom.
     `triangular` is there for free positions alone. `assume` gives the sentences of `assumed`.
     """
 
@@ -178,6 +246,9 @@ class Calibration(HasCovariance):
     g_m_s2: float
     block: Block
     covariance: Floats
+    covariance_readings: Floats
+    gain: Floats
+    slope: Floats
     noise: Noise
     lack_of_fit: LackOfFit
     fitted: Readings
@@ -193,6 +264,28 @@ class Calibration(HasCovariance):
     notes: tuple[str, ...] = ()
     triangular: Triangular | None = None
     angles: str = "read back"
+    shared: tuple[Component, ...] = ()
+    drift: Drift | None = None
+    birge: float = 1.0
+    p_tails: float = float("nan")
+    sources: tuple[SourceOfError, ...] = ()
+    dof: Floats = field(default_factory=lambda: np.full(12, np.inf))
+    gravity_u: float = 0.0
+
+    @property
+    def u_readings(self) -> Floats:
+        """Standard uncertainties that these readings and the stand as it is stated give, shape (12,)."""
+        return u_of(self.covariance_readings)
+
+    @property
+    def U(self) -> Floats:  # noqa: N802 - the symbol of the field
+        """Expanded uncertainties k u with k = `COVERAGE_FACTOR`, shape (12,): u is widened for finite freedom."""
+        return COVERAGE_FACTOR * self.u
+
+    @property
+    def covariance_same_meters(self) -> Floats:
+        """The combined covariance without what cancels where the same meters read the block, (12, 12)."""
+        return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @cached_property
     def assumed(self) -> tuple[str, ...]:
@@ -224,19 +317,29 @@ class Calibration(HasCovariance):
             "unit": self.unit,
             "g_m_s2": self.g_m_s2,
             "per": "g",
-            "coefficients": values_with_u(self.block.vector, self.u),
+            "coefficients": self._coefficients(),
             "coefficients_per_ms2": self._per_ms2(),
             "order": list(COEFFICIENTS),
             "covariance": self.covariance.tolist(),
+            "covariance_readings": self.covariance_readings.tolist(),
+            "covariance_same_meters": self.covariance_same_meters.tolist(),
+            "gravity_u": self.gravity_u,
+            "sources": [source.to_json() for source in self.sources],
             "stand": {name: estimate.to_json() for name, estimate in self.stand.items()},
             "effects": {name: estimate.to_json() for name, estimate in self.effects.items()},
             "not_observable": list(self.assumed),
             "residual": {
                 **{name: finite_or_none(number) for name, number in asdict(fit).items()},
                 "dof": fit.dof,
+                "birge": self.birge,
             },
             "noise": {
                 "reading_v": self.noise.reading,
+                **dict(zip(("x", "y", "z"), self.noise.by_channel.tolist(), strict=True)),
+                "p_equal": finite_or_none(self.noise.p_equal),
+                "p_tails": finite_or_none(self.p_tails),
+                "shared": [component.to_json() for component in self.shared],
+                "drift": None if self.drift is None else self.drift.to_json(),
                 "setting_arcsec": self.noise.setting_rad / ARCSEC,
                 "setting_limits_arcsec": self._setting_limits_arcsec(),
                 "dof": finite_or_none(self.noise.dof),
@@ -250,9 +353,25 @@ class Calibration(HasCovariance):
             "triangular": None if self.triangular is None else self.triangular.to_json(),
         }
 
+    def _coefficients(self) -> dict[str, dict[str, float | None]]:
+        rows = zip(COEFFICIENTS, self.block.vector, self.u, self.u_readings, self.U, self.dof, strict=True)
+        return {
+            name: {
+                "value": float(value),
+                "u": float(u),
+                "u_readings": float(own),
+                "U": float(expanded),
+                "k": COVERAGE_FACTOR,
+                "dof": finite_or_none(float(dof)),
+            }
+            for name, value, u, own, expanded, dof in rows
+        }
+
     def _per_ms2(self) -> dict[str, Any]:
-        """K in unit/(m/s^2), from K per g by the g that is stated, whose own uncertainty is not in u."""
-        scale = values_with_u(self.block.vector[:9] / self.g_m_s2, self.u[:9] / self.g_m_s2)
+        """K in unit/(m/s^2), from K per g by the g that is stated, with its uncertainty."""
+        values = self.block.vector[:9]
+        u = np.hypot(self.u[:9], values * self.gravity_u) / self.g_m_s2
+        scale = values_with_u(values / self.g_m_s2, u)
         return {"unit": f"{self.unit}/(m/s^2)", **scale}
 
     def _free_json(self) -> dict[str, Any] | None:

@@ -206,16 +206,16 @@ def verify(
     rule: str | DecisionRule = SIMPLE,
     *,
     dof: ArrayLike = np.inf,
-    signal_u: Floats | None = None,
+    joint: Floats | None = None,
     population: Population | None = None,
 ) -> Verification:
     """Apply (9)-(10) to the verification rows of a table.
 
     `g_ratio` is the gravity in which the coefficients are given over the local one: a block calibrated
-    elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients, `reading_noise`
-    fresh in each signal (unit of the signal; one size, or one for each channel) and `signal_u` (3,), standard
-    uncertainties of the channels' signals that are the same at all points, give u of each delta g, with degrees of
-    freedom `dof`; the setting of the head does not enter, the modulus does not depend on it. `rule` is one of
+    elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients and `reading_noise`
+    fresh in each signal (unit of the signal; one size, or one for each channel) give u of each delta g, with
+    degrees of freedom `dof`; or `joint` (n, n) is the covariance of |a| at the points, in the gravity of the
+    coefficients. The setting of the head does not enter, the modulus does not depend on it. `rule` is one of
     `RULES`, or a rule with another guard band. Raises `CalibrationError` when there is no verification row, K is
     singular or the rule is unknown.
     """
@@ -234,10 +234,11 @@ def verify(
     g_p = np.linalg.norm(force, axis=1) * g_ratio
     errors = g_p - 1.0
     by_coefficient, by_signal = modulus_slopes(force, block)
-    common = np.zeros(3) if signal_u is None else np.asarray(signal_u, dtype=np.float64)
-    together = by_coefficient @ covariance @ by_coefficient.T + (by_signal * common**2) @ by_signal.T
-    together += np.diag(by_signal**2 @ np.broadcast_to(np.square(reading_noise), 3))
-    together *= g_ratio**2
+    together = joint
+    if together is None:
+        together = by_coefficient @ covariance @ by_coefficient.T
+        together = together + np.diag(by_signal**2 @ np.broadcast_to(np.square(reading_noise), 3))
+    together = together * g_ratio**2
     u = np.sqrt(np.maximum(np.diag(together), 0.0))
     nu = np.broadcast_to(np.asarray(dof, dtype=np.float64), u.shape)
     k = coverage_factor(nu)

@@ -220,7 +220,8 @@ def _fitted(
     free = _modulus_rows(readings, chosen) if chosen.any() else None
     problem = make_problem(model, rows.conditions(), stand_u, free)
     start = first_guess(problem, rows.signal, rows.resolution)
-    return problem, gls.fit(problem, rows.signal, start, None, rows.resolution)
+    # the null model of a diagnosis has one size for all channels, as its thresholds have
+    return problem, gls.fit(problem, rows.signal, start, None, rows.resolution, one_size=True)
 
 
 def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
@@ -257,7 +258,7 @@ def _noisy(bench: ForwardModel, problem: Problem, fit: gls.Fit, stand: Floats) -
     n = len(problem.conditions)
     setting = fit.noise.setting_rad * rng.standard_normal(n)
     signal = bench.readings(fit.block, problem.conditions, stand, setting)
-    return signal + fit.noise.reading * rng.standard_normal((n, 3))
+    return signal + fit.noise.by_channel * rng.standard_normal((n, 3))
 
 
 def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
@@ -309,7 +310,7 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     )
     by_signal = (force / size[:, None]) @ np.linalg.inv(fit.block.K)
     variance = np.einsum("mp,pq,mq->m", columns, fit.covariance, columns)
-    variance += (fit.noise.reading * np.linalg.norm(by_signal, axis=1)) ** 2
+    variance += np.sum((by_signal * fit.noise.by_channel) ** 2, axis=1)
     return tuple(
         ModulusPoint(float(np.degrees(angle)), int(number), int(point), float(g - 1.0), float(np.sqrt(v)))
         for angle, number, point, g, v in zip(

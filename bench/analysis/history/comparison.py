@@ -17,6 +17,7 @@ from scipy import special
 
 from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.calibration.same_meters import METERS_DRIFT, drifted
 from bench.base.arrays import Floats, Mask, u_of
 from bench.model.block import COEFFICIENTS
 
@@ -36,7 +37,9 @@ SECONDS_PER_YEAR: Final = 365.25 * 86400.0
 class Snapshot:
     """A calibration at a time: coefficients `vector` (12,) in unit/g with g = `g_m_s2`, `covariance` (12, 12).
 
-    `block` says which block it was (type and serial number), empty where nobody recorded it.
+    `block` says which block it was (type and serial number), empty where nobody recorded it. `same_meters`
+    (12, 12) is the covariance without what cancels where the same meters measure again, None where there is no such
+    part; `meters` are their identities, empty where unknown.
     """
 
     name: str
@@ -47,12 +50,39 @@ class Snapshot:
     vector: Floats
     covariance: Floats
     simulated: bool = False
+    same_meters: Floats | None = None
+    meters: tuple[str, ...] = ()
 
     def per(self, g_m_s2: float) -> Snapshot:
         """Return it with scale factors per another local gravity: the same per m/s^2."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
-        covariance = self.covariance * np.outer(factor, factor)
-        return replace(self, g_m_s2=g_m_s2, vector=self.vector * factor, covariance=covariance)
+        both = np.outer(factor, factor)
+        own = None if self.same_meters is None else self.same_meters * both
+        return replace(
+            self,
+            g_m_s2=g_m_s2,
+            vector=self.vector * factor,
+            covariance=self.covariance * both,
+            same_meters=own,
+        )
+
+    @property
+    def without_meters(self) -> Floats:
+        """The covariance without what cancels where the same meters measure again, (12, 12)."""
+        return self.covariance if self.same_meters is None else self.same_meters
+
+    def against(self, first: Snapshot) -> Snapshot:
+        """Return it with the covariance that it has beside `first`, which then has its own without the meters.
+
+        Gain and offset of meters that are the same cancel on one day, and less the longer they may have drifted:
+        after `METERS_DRIFT` they may be anywhere within their limits. Those of other meters, or of ones that nobody
+        named, never cancel.
+        """
+        if self is first:
+            return replace(self, covariance=self.without_meters)
+        part = _drifted(first, self)
+        meters = (self.covariance - self.without_meters) + (first.covariance - first.without_meters)
+        return replace(self, covariance=self.without_meters + part * meters)
 
 
 @dataclass(frozen=True)
@@ -151,7 +181,8 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
         ordered = [snapshots[k] for k in np.argsort([d.timestamp() for d in dates], kind="stable")]
     notes = _notes(ordered, dated=dated)
     g = ordered[0].g_m_s2
-    alike = [snapshot.per(g) for snapshot in ordered]
+    there = [snapshot.per(g) for snapshot in ordered]
+    alike = [snapshot.against(there[0]) for snapshot in there]
     differences = [later.vector - alike[0].vector for later in alike[1:]]
     u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]
     p = holm(
@@ -256,11 +287,34 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
             f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale factors are "
             "converted to the gravity of the first, so that they are compared per m/s²"
         )
-    notes.append(
-        "voltmeter gain and offset are in no uncertainty: with the same meters they cancel, with other ones they "
-        "pass for a change"
-    )
+    notes.append(_on_meters(snapshots))
     return tuple(notes)
+
+
+def _on_meters(snapshots: Sequence[Snapshot]) -> str:
+    bare = [snapshot.name for snapshot in snapshots if snapshot.same_meters is None]
+    if bare:
+        return (
+            f"{', '.join(bare)}: no errors of the meters in its uncertainty; with the same meters they cancel, "
+            "with other ones they pass for a change"
+        )
+    parts = [_drifted(snapshots[0], later) for later in snapshots[1:]]
+    if max(parts) == 0.0:
+        return (
+            "the same meters, by identity and address, on the same day: their gain and offset cancel and are in no "
+            "uncertainty here"
+        )
+    if all(snapshot.meters == snapshots[0].meters != () for snapshot in snapshots):
+        return (
+            "the same meters, by identity and address: their gain and offset count as far as they may have drifted "
+            f"({METERS_DRIFT.days} days: all)"
+        )
+    return "not known to be the same meters: their gain and offset are in every uncertainty"
+
+
+def _drifted(first: Snapshot, later: Snapshot) -> float:
+    """Return the part of the meters' limits by which they may differ between two calibrations, 0 to 1."""
+    return drifted((first.meters, first.when), (later.meters, later.when))
 
 
 def _one_and_the_same(a: Snapshot, b: Snapshot) -> bool:

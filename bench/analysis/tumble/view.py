@@ -6,7 +6,7 @@ terms that the orientations determine are unknowns without a prior.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -26,12 +26,13 @@ from bench.analysis.tumble.terms import (
     parameter_of,
     separable,
 )
-from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms
+from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
 from bench.readings.table import Readings
 
 NO_PRIOR: Final = 1.0
@@ -46,6 +47,7 @@ MOVES: Final = 0.01
 class Quantity:
     """One estimate of an axis in `unit`.
 
+    `u` is combined where the view is, `u_readings` what the readings and the stand as it is stated show.
     `contains` are the terms that cannot be separated from it, with their shares. What is estimated is then the
     sum: "K3" with {"Koq": 0.59} is K3 + 0.59 Koq.
     """
@@ -53,6 +55,7 @@ class Quantity:
     name: str
     value: float
     u: float
+    u_readings: float
     unit: str
     contains: Mapping[str, float]
 
@@ -70,6 +73,7 @@ class Quantity:
             "value": self.value,
             "u": self.u,
             "U": K * self.u,
+            "u_readings": self.u_readings,
             "unit": self.unit,
             "contains": dict(self.contains),
         }
@@ -79,9 +83,11 @@ class Quantity:
 class TumbleView(HasCovariance):
     """The three accelerometers of a block, each by the terms of IEEE Std 1293.
 
-    `axes` has the quantities of each channel in the order of `names` ("x.K0"), of which `covariance` is. `judged`
-    says what the orientations determine; `left_out` what 1 of a term that was not asked for moves: by channel, by
-    term, by quantity, in g and g/g^n. `block` has the coefficients beside these terms.
+    `axes` has the quantities of each channel in the order of `names` ("x.K0"), of which `covariance` is;
+    `covariance_readings` is what the readings and the stand as it is stated show, `combined` whether the other
+    holds more. `judged` says what the orientations determine; `left_out` what 1 of a term that was not asked for
+    moves: by channel, by term, by quantity, in g and g/g^n. `block` has the coefficients beside these terms,
+    `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope` (n, 3) their du/dphi.
     """
 
     unit: str
@@ -89,11 +95,16 @@ class TumbleView(HasCovariance):
     block: Block
     axes: Mapping[str, tuple[Quantity, ...]]
     covariance: Floats
+    covariance_readings: Floats
+    gain: Floats
+    slope: Floats
     judged: tuple[Separable, ...]
     left_out: Mapping[str, Mapping[str, Mapping[str, float]]]
     noise: Noise
     lack_of_fit: LackOfFit
-    readings: int
+    fitted: Readings
+    combined: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -124,7 +135,9 @@ class TumbleView(HasCovariance):
                 for own in self.judged
             },
             "order": self.names,
+            "combined": self.combined,
             "covariance": self.covariance.tolist(),
+            "covariance_readings": self.covariance_readings.tolist(),
             "noise": {
                 "reading_v": self.noise.reading,
                 "setting_arcsec": float(np.degrees(self.noise.setting_rad) * 3600),
@@ -137,7 +150,7 @@ class TumbleView(HasCovariance):
                 "dof": fit.dof,
                 "p": finite_or_none(fit.p),
             },
-            "readings": self.readings,
+            "readings": len(self.fitted),
         }
 
 
@@ -148,6 +161,8 @@ def tumble_view(
     g_m_s2: float,
     terms: Sequence[str] = DEFAULT,
     noise: Noise | None = None,
+    *,
+    assumed_u: Mapping[str, float] | None = None,
 ) -> TumbleView:
     """Estimate the terms asked for, of `HOMES`, from the oriented readings; arguments as in `calibrate`.
 
@@ -157,26 +172,42 @@ def tumble_view(
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
         raise CalibrationError(f"terms {', '.join(strange or terms)}: each once, of {', '.join(HOMES)}")
+    assumed = dict(assumed_u or {})
+    sizes = {**stand_u, **assumed}
     rows = usable_rows(readings, model)
     plain = replace(model, effects=())
     conditions = rows.conditions()
-    start = first_guess(make_problem(plain, conditions, stand_u), rows.signal, rows.resolution)
+    start = first_guess(make_problem(plain, conditions, sizes), rows.signal, rows.resolution)
     still = make_problem(plain, conditions, {}).stand_matrix(np.zeros(0))
     force = plain.specific_force(conditions, still, Block(np.eye(3), np.zeros(3)))
     judged = tuple(separable(force, channel, terms, conditions) for channel in range(3))
-    problem = _problem(plain, make_problem(_with_terms(plain, terms), conditions, stand_u), judged)
+    problem = _problem(plain, make_problem(with_terms(plain, terms), conditions, sizes), judged)
     fit = gls.fit(problem, rows.signal, start, noise, rows.resolution)
     fit_test = replace(gls.lack_of_fit(problem, fit), rms=rms(fit.residuals))
     axes, through = _quantities(problem, fit, judged, readings.unit)
-    own = through @ fit.covariance @ through.T
+    whole = through @ fit.covariance @ through.T
+    whole = 0.5 * (whole + whole.T)
+    shown = whole - _of_assumed(problem, fit, through, assumed)
+    gain = np.einsum("mp,pni->mni", through, fit.gain)
     moved = _left_out(fit, force, conditions, terms, through, axes)
+    axes = sized(axes, whole, shown)
     return TumbleView(
-        readings.unit, g_m_s2, fit.block, axes, 0.5 * (own + own.T), judged, moved, fit.noise, fit_test, len(rows)
+        readings.unit, g_m_s2, fit.block, axes, whole, shown, gain, fit.slope, judged, moved, fit.noise, fit_test,
+        rows,
     )  # fmt: skip
 
 
-def _with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
-    """Return the model with the effects that the terms are of, each once, of size zero."""
+def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mapping[str, float]) -> Floats:
+    """Return the part (m, m) of the covariance that stand angles of sizes nobody stated bring in."""
+    at = [FIXED + k for k, unknown in enumerate(problem.stand) if STAND_ANGLES[unknown.column] in assumed]
+    if not at:
+        return np.zeros((len(through),) * 2)
+    across = through @ fit.covariance[:, at]
+    return np.asarray(across @ np.linalg.solve(fit.covariance[np.ix_(at, at)], across.T))
+
+
+def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
+    """Return a model with the effects that the terms are of, each once, of size zero."""
     homes = dict.fromkeys(HOMES[term] for term in terms)
     return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
 
@@ -191,49 +222,60 @@ def _problem(plain: ForwardModel, whole: Problem, judged: Sequence[Separable]) -
     return replace(whole, effects=kept) if kept else replace(whole, model=plain, effects=())
 
 
+Row = tuple[str, float, str, Floats]
+"""Name, value, unit of a quantity, and its derivatives (12 + q,) by the unknowns of the fit."""
+
+
 def _quantities(
     problem: Problem, fit: gls.Fit, judged: Sequence[Separable], unit: str
 ) -> tuple[dict[str, tuple[Quantity, ...]], Floats]:
-    """Return the quantities of each channel, and their derivatives (m, 12 + q) by the unknowns of the fit."""
-    places = {
-        (unknown.channel, unknown.parameter): FIXED + len(problem.stand) + at
-        for at, unknown in enumerate(problem.effects)
-    }
-    vector = np.concatenate([fit.block.vector, fit.others])
-    found: list[tuple[int, str, float, str, Floats]] = []
-    for channel, letter in enumerate(CHANNELS):
-        own = COEFFICIENTS.index(f"K{letter}{letter}")
-        scale = vector[own]
-        ones = np.eye(len(vector))
-        bias = 9 + channel
-        found.append(
-            (
-                channel,
-                "K0",
-                vector[bias] / scale,
-                "g",
-                ones[bias] / scale - vector[bias] / scale**2 * ones[own],
-            )
+    """Return the quantities of each channel, their u still to come, and their derivatives (m, 12 + q)."""
+    rows = [list(_rows(problem, fit, own, channel, unit)) for channel, own in enumerate(judged)]
+    axes = {
+        own.channel: tuple(
+            Quantity(name, value, 0.0, 0.0, of, _contained(own, name, channel))
+            for name, value, of, _ in found
         )
-        found.append((channel, "K1", scale, f"{unit}/g", ones[own]))
-        for name, (cross, of, sign) in MISALIGNMENTS.items():
-            if of == COEFFICIENTS[own]:
-                at = COEFFICIENTS.index(cross)
-                angle = sign * vector[at] / scale
-                found.append(
-                    (channel, name, angle, "rad", sign / scale * ones[at] - angle / scale * ones[own])
-                )
-        for term in judged[channel].kept[len(LINEAR) :]:
-            at = places[channel, term]
-            found.append((channel, term, vector[at], parameter_of(term).unit.replace("ug", "g"), ones[at]))
-    through = np.stack([row for *_, row in found])
-    u = np.sqrt(np.einsum("mp,pq,mq->m", through, fit.covariance, through))
-    axes: dict[str, tuple[Quantity, ...]] = {}
-    for (channel, name, value, unit_of, _), size in zip(found, u.tolist(), strict=True):
-        contains = _contained(judged[channel], name, channel)
-        quantity = Quantity(name, float(value), size, unit_of, contains)
-        axes[CHANNELS[channel]] = (*axes.get(CHANNELS[channel], ()), quantity)
-    return axes, through
+        for channel, (own, found) in enumerate(zip(judged, rows, strict=True))
+    }
+    return axes, np.stack([derivative for found in rows for *_, derivative in found])
+
+
+def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit: str) -> Iterator[Row]:
+    """Yield bias, scale factor, the two angles, and the nonlinear terms of a channel."""
+    vector = np.concatenate([fit.block.vector, fit.others])
+    ones = np.eye(len(vector))
+    own, bias = COEFFICIENTS.index(f"K{judged.channel}{judged.channel}"), 9 + channel
+    scale = float(vector[own])
+
+    def part(at: int, sign: float = 1.0) -> tuple[float, Floats]:
+        """A coefficient over the scale factor, with its derivatives."""
+        value = sign * float(vector[at]) / scale
+        return value, sign * ones[at] / scale - value / scale * ones[own]
+
+    value, derivative = part(bias)
+    yield "K0", value, "g", derivative
+    yield "K1", scale, f"{unit}/g", ones[own]
+    for name, (cross, of, sign) in MISALIGNMENTS.items():
+        if of == COEFFICIENTS[own]:
+            value, derivative = part(COEFFICIENTS.index(cross), sign)
+            yield name, value, "rad", derivative
+    first = FIXED + len(problem.stand)
+    for at, unknown in enumerate(problem.effects, first):
+        if unknown.channel == channel:
+            of_term = parameter_of(unknown.parameter).unit.replace("ug", "g")
+            yield unknown.parameter, float(vector[at]), of_term, ones[at]
+
+
+def sized(
+    axes: Mapping[str, Sequence[Quantity]], covariance: Floats, readings: Floats
+) -> dict[str, tuple[Quantity, ...]]:
+    """Return the quantities with u from a covariance (m, m), and from the part of it that the readings show."""
+    u, shown = iter(u_of(covariance).tolist()), iter(u_of(readings).tolist())
+    return {
+        channel: tuple(replace(q, u=next(u), u_readings=next(shown)) for q in own)
+        for channel, own in axes.items()
+    }
 
 
 def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:

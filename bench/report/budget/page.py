@@ -37,7 +37,7 @@ def render_budget(result: Mapping[str, Any]) -> str:
 
 def _coefficients(result: Mapping[str, Any]) -> list[Row]:
     rows = [
-        Row(f"{name}{' *' if source['prior'] else ''}", _micro(source["contribution_u"]))
+        Row(f"{name.replace('_', ' ')}{' *' if source['prior'] else ''}", _micro(source["contribution_u"]))
         for name, source in result["sources"].items()
     ]
     coefficients = [result["coefficients"][name] for name in result["order"]]
@@ -57,7 +57,7 @@ def _coefficients(result: Mapping[str, Any]) -> list[Row]:
 def _sources(result: Mapping[str, Any]) -> list[Row]:
     return [
         Row(
-            f"{name} ({source['symbol']})",
+            f"{name.replace('_', ' ')} ({source['symbol']})",
             (
                 source["shown"], source["distribution"], source["common_to"],
                 "∞" if source["dof"] is None else f"{source['dof']:g}", source["origin"],

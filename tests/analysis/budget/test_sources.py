@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from bench.analysis.budget import patterns
 from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import bench_sources, stand_source
@@ -52,7 +53,8 @@ def test_the_shipped_bench():
     found = by_name(SHIPPED)
     assert found["mounting_error"].u == pytest.approx(30 * ARCSEC)
     assert found["voltmeter_error"].u == pytest.approx(1e-4)
-    assert found["mounting_roll"].u == 0
+    # nobody states the third mounting angle: it is as large as the other
+    assert found["mounting_roll"].u == found["mounting_error"].u
     # 20 ppm of the reading and 5 ppm of 10 V as rectangular limits
     assert found["voltmeter_gain"].u == pytest.approx(20e-6 / np.sqrt(3))
     assert found["voltmeter_offset"].u == pytest.approx(50e-6 / np.sqrt(3))
@@ -60,7 +62,8 @@ def test_the_shipped_bench():
     assert found["gravity"].u == pytest.approx(5e-4 / SHIPPED.gravity_m_s2)
     assert found["K2"].u == pytest.approx(30e-6)
     assert [s.name for s in found.values() if s.prior] == [
-        "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "gravity", "temperature", "K2", "K3",
+        "mounting_roll", "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "gravity", "temperature",
+        "K2", "K3",
     ]  # fmt: skip
 
 
@@ -97,7 +100,7 @@ def test_the_section_uncertainty_is_used(tmp_path):
     assert u["temperature"] == pytest.approx(0.1 / np.sqrt(3))
     assert found["temperature"].factors == pytest.approx({"bias": 15e-6, "scale": 60e-6})
     assert (u["K2"], u["K3"]) == pytest.approx((5e-6, 1e-6))
-    assert not any(source.prior for source in found.values())
+    assert [name for name, source in found.items() if source.prior] == ["mounting_roll"]
 
 
 def test_a_stated_roll_and_offset_are_sources(tmp_path):
@@ -155,7 +158,7 @@ def test_gravity_scales_k_and_no_bias():
     np.testing.assert_allclose(found.u, 51e-6 * np.abs(TRUTH) * K_PART, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["voltmeter_linearity", "voltmeter_gain", "temperature"])
+@pytest.mark.parametrize("name", ["voltmeter_linearity", "voltmeter_gain"])
 def test_what_passes_do_not_average(name):
     source = by_name(SHIPPED)[name]
     u = [make_budget(paper_setup(passes=p), [source], "closed-form").combined.u for p in (1, 4)]
@@ -176,13 +179,30 @@ def test_linearity_is_the_same_where_the_voltage_is():
     assert found[COEFFICIENTS.index("Kxz")] == pytest.approx(1e-5 / np.sqrt(2))
 
 
-def test_temperature_in_closed_form():
-    """Kxz comes from installation 1 alone: k uT |Kxz| in closed form; U0x also has the bias of both."""
+def test_a_temperature_that_stays_in_closed_form(monkeypatch):
+    """Where it does not change in the run, K goes with the scale and U0 with the bias: k uT |K|."""
+    monkeypatch.setattr(patterns, "WANDERS_S", 1e15)
     source = by_name(SHIPPED)["temperature"]
     found = make_budget(paper_setup(), [source], "closed-form").combined.u
     scale, bias = source.factors["scale"] * source.u, source.factors["bias"] * source.u
     assert found[COEFFICIENTS.index("Kxz")] == pytest.approx(scale * abs(K[0, 2]), rel=1e-6)
-    assert found[COEFFICIENTS.index("U0x")] == pytest.approx(bias * abs(K[0, 0]) / np.sqrt(2), rel=1e-3)
+    assert found[COEFFICIENTS.index("U0x")] == pytest.approx(bias * abs(K[0, 0]), rel=1e-3)
+
+
+def test_a_temperature_that_wanders_in_full():
+    """Its course has the covariance u^2 exp(-|t1 - t2|/1 h): the same sum without its shapes, written out."""
+    source = by_name(SHIPPED)["temperature"]
+    setup = paper_setup()
+    budget = make_budget(setup, [source], "gls", stated={"voltmeter_error": 1e-4})
+    time_s = setup.conditions.elapsed_s
+    course = source.u**2 * np.exp(-np.abs(np.subtract.outer(time_s, time_s)) / 3600)
+    sensed = setup.force @ setup.block.K.T
+    for j, channel in ((0, 0), (4, 1), (9, 0), (11, 2)):
+        row = budget.gain[j, :, channel]
+        by_bias = row * setup.block.K[channel, channel] * source.factors["bias"]
+        by_scale = row * sensed[:, channel] * source.factors["scale"]
+        variance = by_bias @ course @ by_bias + by_scale @ course @ by_scale
+        assert budget.combined.u[j] == pytest.approx(np.sqrt(variance), rel=2e-2)
 
 
 @pytest.mark.parametrize(("coefficient", "part"), [("Kxx", 0.7071), ("Kyy", 0.75), ("Kzz", 0.75)])

@@ -42,10 +42,13 @@ def test_the_spread_is_the_stated_uncertainty(level):
 
 @pytest.mark.slow
 def test_the_uncertainty_is_next_to_the_least_possible(level):
-    """u over the Cramer-Rao bound with known sizes of the noise; that they are estimates costs 1.4 %."""
+    """u over the Cramer-Rao bound with known sizes of the noise; that they are estimates costs 1.4 % and more.
+
+    Two channels in ten runs have a size of their own for nothing.
+    """
     _, batch, bound = level
     ratio = np.sqrt(np.mean(batch.u**2, axis=0)) / bound
-    assert np.all(ratio <= 1.02), ratio.round(4)
+    assert np.all(ratio <= 1.03), ratio.round(4)
     spread = np.std(batch.coefficients, axis=0) / bound
     assert np.all(spread <= 1.02 + STATISTICS), spread.round(4)
 
@@ -64,11 +67,11 @@ def test_it_agrees_with_the_loop(noise_v):
     tables = [simulate(np.random.default_rng([5, k]), noise_v) for k in range(30)]
     batch = calibrate_batch(np.array([t.signal for t in tables]), CONDITIONS, MODEL, STAND_U)
     for i, table in enumerate(tables):
-        one = calibrate(table, MODEL, STAND_U, 9.81)
+        one = calibrate(table, MODEL, STAND_U, 9.81, find_shared=False)
         assert np.all(np.abs(batch.coefficients[i] - one.block.vector) < 2e-3 * one.u)
         difference = (batch.covariance[i] - one.covariance) / np.outer(one.u, one.u)
         assert np.abs(difference).max() < 2e-3
-        assert batch.reading[i] == pytest.approx(one.noise.reading, rel=1e-3)
+        np.testing.assert_allclose(batch.reading[i], one.noise.by_channel, rtol=1e-3)
         assert batch.setting_rad[i] == pytest.approx(one.noise.setting_rad, rel=1e-3, abs=1e-9)
         angles = [e.value / 206264.806 for e in one.stand.values()]
         np.testing.assert_allclose(batch.stand[i], angles, atol=1e-7)

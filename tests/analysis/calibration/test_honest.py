@@ -53,9 +53,12 @@ def test_no_coefficient_is_worse_than_with_8(level):
 
 
 def test_noise_sizes_are_estimated_without_bias(level):
-    """Variance of a run from 72 degrees of freedom, its mean over 300 runs to four standard errors."""
+    """Variance of a run from 72 degrees of freedom, its mean over 300 runs to four standard errors.
+
+    In every sixth run chance alone makes a component of the readings, which takes a quarter of the noise with it.
+    """
     noise_v, runs = level
-    assert np.mean(runs.reading**2) / noise_v**2 == pytest.approx(1, abs=4 * np.sqrt(2 / 72 / RUNS))
+    assert np.mean(runs.reading**2) / noise_v**2 == pytest.approx(1, abs=0.04 + 4 * np.sqrt(2 / 72 / RUNS))
     if noise_v == 2e-5:
         # 36 degrees of freedom along dU/dphi; at 0.1 mV the estimate is often cut off at zero
         spread = np.std(runs.setting_rad**2) / np.sqrt(RUNS) / SETTING_U_RAD**2

@@ -132,19 +132,19 @@ def covariance():
     return calibrate(simulate(np.random.default_rng(3), 1e-4), model, STAND_U, 9.81).covariance
 
 
-def drawn_errors(covariance, noise, signal_u, draws=20_000):
-    """Δg of coefficients, readings and channels that are off at random, by the modulus itself (seed 8)."""
+def drawn_errors(covariance, noise, draws=20_000):
+    """Δg of coefficients and readings that are off at random, by the modulus itself (seed 8)."""
     rng = np.random.default_rng(8)
     coefficients = rng.multivariate_normal(TRUTH, covariance, draws)
-    signal = turned().signal + rng.normal(0, noise, (draws, 4, 3)) + rng.normal(0, signal_u, (draws, 1, 3))
+    signal = turned().signal + rng.normal(0, noise, (draws, 4, 3))
     inverse = np.linalg.inv(coefficients[:, :9].reshape(draws, 1, 3, 3))
     return np.linalg.norm((inverse @ (signal - coefficients[:, None, 9:])[..., None])[..., 0], axis=2) - 1
 
 
 def test_covariance_of_the_points_with_sizes_per_channel_by_monte_carlo(covariance):
-    noise, signal_u = np.array([3e-5, 1e-4, 3e-4]), np.array([1e-4, 2e-4, 5e-5])
-    result = verify(turned(), BLOCK, covariance, noise, 3e-4, signal_u=signal_u)
-    found = np.cov(drawn_errors(covariance, noise, signal_u).T)
+    noise = np.array([3e-5, 1e-4, 3e-4])
+    result = verify(turned(), BLOCK, covariance, noise, 3e-4)
+    found = np.cov(drawn_errors(covariance, noise).T)
     u = np.sqrt(np.diag(found))
     # of 20,000 draws: five standard deviations of a covariance
     np.testing.assert_allclose(
@@ -158,10 +158,11 @@ def test_one_size_for_all_channels_is_that_size_in_each(covariance):
     np.testing.assert_array_equal(one.covariance, three.covariance)
 
 
-def test_what_all_points_share_is_common_to_them():
-    """A channel's offset alone moves all points together: the covariance has rank 1."""
-    result = verify(turned(), BLOCK, NONE, 0.0, 3e-4, signal_u=np.array([0.0, 0.0, 1e-4]))
-    assert np.linalg.matrix_rank(result.covariance, tol=1e-3 * result.covariance.max()) == 1
+def test_a_covariance_of_the_points_that_is_known_is_taken_as_it_is():
+    joint = np.full((4, 4), 1e-10)
+    result = verify(turned(), BLOCK, NONE, 1.0, 3e-4, 2.0, joint=joint)
+    np.testing.assert_allclose(result.covariance, 4 * joint)
+    assert [p.u for p in result.points] == pytest.approx([2e-5] * 4)
 
 
 def test_u_grows_as_its_degrees_of_freedom_shrink():

@@ -25,15 +25,17 @@ def quadratic(y=0.0, u=None):
 def test_without_effects_it_is_what_calibrate_and_verify_give():
     readings = paper_run(np.random.default_rng(3))
     shown = show(readings, MODEL, (), STAND, G)
-    calibration = calibrate(readings, MODEL, STAND_U, G)
+    whole = calibrate(readings, MODEL, STAND_U, G)
     assert shown.after is None
-    assert np.allclose(shown.before.calibration.block.vector, calibration.block.vector, rtol=1e-12)
+    assert np.allclose(shown.before.calibration.block.vector, whole.block.vector, rtol=1e-12)
+    calibration = calibrate(readings, MODEL, STAND_U, G, find_shared=False)
     assert shown.before.test.chi2 == pytest.approx(calibration.lack_of_fit.chi2, rel=1e-6)
     assert shown.before.test.dof == calibration.lack_of_fit.dof
-    points = verify(readings, calibration.block, calibration.covariance, calibration.noise.reading, 3e-4)
+    points = verify(readings, calibration.block, calibration.covariance, calibration.noise.by_channel, 3e-4)
     for mine, theirs in zip(shown.before.points, points.points, strict=True):
         assert mine.delta_g == pytest.approx(theirs.delta_g, abs=1e-12)
-        assert mine.u == pytest.approx(theirs.u, rel=1e-4)
+        # one size of the noise for all channels there, one for each here
+        assert mine.u == pytest.approx(theirs.u, rel=0.1)
 
 
 def test_the_effect_is_taken_off_at_the_verification_points():
@@ -100,9 +102,11 @@ def test_a_rival_changes_the_coefficients_as_a_calibration_with_it_does(tmp_path
     assert np.allclose(ranked[0].shift, 0.0, atol=1e-9)
     evidence = [rival.evidence for rival in ranked]
     assert evidence == sorted(evidence, reverse=True)
-    named = calibrate(readings, ForwardModel(MODEL.installations, (quadratic(),)), STAND_U, G)
+    named = calibrate(
+        readings, ForwardModel(MODEL.installations, (quadratic(),)), STAND_U, G, find_shared=False
+    )
     other = AppliedEffect(CATALOGUE["scale_asymmetry"], {"Kabs": np.zeros(3)}, ("y",))
-    instead = calibrate(readings, ForwardModel(MODEL.installations, (other,)), STAND_U, G)
+    instead = calibrate(readings, ForwardModel(MODEL.installations, (other,)), STAND_U, G, find_shared=False)
     shift = (instead.block.vector - named.block.vector) / named.u
     # calibrate has the noise of the repeats, the diagnosis that of all residuals: alike to some 15 %
     assert np.allclose(by_name["scale_asymmetry"].shift, shift, atol=0.3 + 0.2 * np.max(np.abs(shift)))

@@ -1,0 +1,197 @@
+"""The whole uncertainty of a calibration: what its readings show, and the errors of the bench that they do not.
+
+Each error acts on the readings that were taken as it does on those of a plan, and through the estimator's map on
+the coefficients: the budget of a plan and the calibration of its readings agree where their noise does.
+Source: JCGM 100:2008 (GUM), 4.3 and 5.2: what is not known is a quantity with a distribution, not a sentence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import date
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.budget.coefficients import parts_of
+from bench.analysis.budget.propagation import effective_dof
+from bench.analysis.budget.setup import meters_of
+from bench.analysis.budget.sources import ROLL_ORIGIN, ErrorSource, assumed_stand, hidden_sources
+from bench.analysis.calibration.result import Calibration, SourceOfError
+from bench.analysis.calibration.verification import modulus_slopes
+from bench.base.arrays import ARCSEC, Floats, Ints, Mask
+from bench.files.bench.file import BenchFile
+from bench.model import Block, Conditions, ForwardModel
+from bench.readings.table import UNORIENTED, VERIFICATION, Readings
+
+GRAVITY: Final = "gravity"
+METERS: Final = ("voltmeter_gain", "voltmeter_offset")
+"""Errors that act alike wherever the same meters read the block."""
+VOLTS: Final = "V"
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Readings that were taken, as errors act on them: the forces are those that `block` tells from the signals."""
+
+    readings: Readings
+    block: Block
+    meters: tuple[int, int, int]
+    setting_slope: Floats
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """Where, when and how warm each reading was."""
+        return self.readings.conditions()
+
+    @property
+    def signal(self) -> Floats:
+        """The signals, (n, 3)."""
+        return self.readings.signal
+
+    @cached_property
+    def force(self) -> Floats:
+        """The specific forces, g, (n, 3)."""
+        return self.block.specific_force(self.readings.signal)
+
+    @cached_property
+    def orientation(self) -> Ints:
+        """A number for each orientation, (n,): that of an installation at a whole degree, else of the row alone."""
+        of = self.readings
+        degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
+        keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
+        names = np.unique(of.installation, return_inverse=True)[1]
+        alone = ~self._oriented
+        keys[:, 1] = names
+        keys[alone, 0] = 1000.0 + np.flatnonzero(alone)
+        return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).ravel()
+
+    @property
+    def _oriented(self) -> Mask:
+        return ~np.isin(self.readings.installation, list(UNORIENTED))
+
+
+def sign(
+    calibration: Calibration,
+    readings: Readings,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None = None,
+) -> Calibration:
+    """Return the calibration with the combined covariance: of its readings and of what they do not show.
+
+    `readings` is the whole table that it was made from, `day` that of the readings. The meters'
+    errors are in volts, and so in no result of readings in another unit.
+    """
+    if readings.unit != VOLTS:
+        return replace(calibration, notes=(*calibration.notes, _NO_VOLTS.format(unit=readings.unit)))
+    taken = _taken(calibration, readings, bench)
+    of_bench = _acting(calibration, bench, model, day)
+    own = tuple(_source(error, taken, calibration.gain) for error in of_bench if error.name != GRAVITY)
+    roll = calibration.covariance - calibration.covariance_readings
+    if np.any(np.diag(roll) > 0):
+        own = (_roll(bench, roll), *own)
+    covariance = calibration.covariance_readings + sum((s.covariance for s in own), np.zeros((12, 12)))
+    parts = [calibration.covariance_readings, *(s.covariance for s in own)]
+    dof = effective_dof(
+        np.stack([np.diag(part) for part in parts], axis=1),
+        [calibration.noise.reading_dof, *(s.dof for s in own)],
+    )
+    gravity = [error.u for error in of_bench if error.name == GRAVITY]
+    return replace(
+        calibration, covariance=covariance, sources=own, dof=dof, gravity_u=gravity[0] if gravity else 0.0
+    )
+
+
+_NO_VOLTS: Final = (
+    "the readings are in {unit}, so the errors of this bench's meters are in no uncertainty here: u is what these "
+    "readings show"
+)
+
+
+def delta_g_elsewhere(
+    block: Block, covariance: Floats, noise: Floats, readings: Readings, bench: BenchFile, model: ForwardModel,
+    *, same_meters: bool, day: date | None = None,
+) -> Floats:  # fmt: skip
+    """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day.
+
+    In the local g of the coefficients. `covariance` (12, 12) and `noise` (3,) are those of the coefficients,
+    without the meters' gain and offset where they are the `same_meters` as here: then these cancel; else those here
+    come on top. What else acts on the readings at the points counts in full.
+    """
+    rows = np.flatnonzero(readings.installation == VERIFICATION)
+    taken = Taken(readings, block, _meters(bench), np.zeros((len(readings), 3)))
+    by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
+    whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
+    if readings.unit != VOLTS:
+        return np.asarray(whole)
+    functionals = np.zeros((len(rows), len(readings), 3))
+    functionals[np.arange(len(rows)), rows] = by_signal
+    for error in hidden_sources(bench, model, day):
+        if error.name != GRAVITY and not (same_meters and error.kind in METERS):
+            parts = parts_of(error, taken, functionals)
+            whole += parts @ parts.T
+    return np.asarray(whole)
+
+
+def delta_g_covariance(
+    calibration: Calibration,
+    readings: Readings,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None = None,
+) -> Floats:
+    """Return the covariance (v, v) of |a| at the verification rows of the table that `calibration` was made from.
+
+    In local g. An error that acts on calibration and check alike, as the gain of a meter, acts here by what is left
+    of both: it cancels. The noise of the readings at the points is among it.
+    """
+    rows = np.flatnonzero(readings.installation == VERIFICATION)
+    taken = _taken(calibration, readings, bench)
+    by_coefficient, by_signal = modulus_slopes(taken.force[rows], calibration.block)
+    functionals = np.einsum("vp,pni->vni", by_coefficient, calibration.gain)
+    functionals[np.arange(len(rows)), rows] += by_signal
+    fitted = calibration.covariance_readings + sum(
+        (s.covariance for s in calibration.sources if s.name == "mounting_roll"), np.zeros((12, 12))
+    )
+    whole = by_coefficient @ fitted @ by_coefficient.T
+    whole += np.diag(np.sum((by_signal * calibration.noise.widened().by_channel) ** 2, axis=1))
+    if readings.unit != VOLTS:
+        return np.asarray(whole)
+    for error in _acting(calibration, bench, model, day):
+        if error.name != GRAVITY:
+            parts = parts_of(error, taken, functionals)
+            whole += parts @ parts.T
+    return np.asarray(whole)
+
+
+def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> Taken:
+    return Taken(readings, calibration.block, _meters(bench), calibration.slope)
+
+
+def _meters(bench: BenchFile) -> tuple[int, int, int]:
+    return meters_of([m.channels for m in bench.instruments.voltmeters])
+
+
+def _acting(
+    calibration: Calibration, bench: BenchFile, model: ForwardModel, day: date | None
+) -> list[ErrorSource]:
+    """The errors that no reading shows; linearity is none of them where the readings showed what repeats share."""
+    shown = any(component.what == "setting" for component in calibration.shared)
+    return [e for e in hidden_sources(bench, model, day) if not (shown and e.kind == "voltmeter_linearity")]
+
+
+def _source(error: ErrorSource, taken: Taken, gain: Floats) -> SourceOfError:
+    parts = parts_of(error, taken, gain)
+    return SourceOfError(
+        error.name, error.symbol, error.shown, error.origin, error.prior, error.dof, parts @ parts.T,
+        cancels=error.kind in METERS,
+    )  # fmt: skip
+
+
+def _roll(bench: BenchFile, covariance: Floats) -> SourceOfError:
+    size = assumed_stand(bench)["mounting_roll"].u
+    return SourceOfError(
+        "mounting_roll", "α5", f"{size / ARCSEC:.3g} arcsec", ROLL_ORIGIN, True, np.inf, covariance
+    )

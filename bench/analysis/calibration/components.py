@@ -1,0 +1,332 @@
+"""What repeats share: variances common to a setting, to a pass, to a visit, and slow drift in time.
+
+Fresh noise alone makes repeats worth more than they are: a meter that errs alike at a setting in every pass, a pass
+that is off as a whole, a bias that wanders. Each of these is a variance of its own beside those of the noise, by
+restricted likelihood together with them, taken in where the readings ask for it. What is taken in widens the
+uncertainty, and weighs the readings accordingly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.analysis.calibration.design import Problem
+from bench.analysis.calibration.gls import Fit, finish
+from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, scatter_of_repeats
+from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximise
+from bench.analysis.calibration.repeats_likelihood import DIGITS
+from bench.analysis.calibration.result import Noise, widening
+from bench.base.arrays import CHANNELS, HOUR, Floats, Ints, rms
+from bench.model.conditions import Conditions
+
+ASKED_P: Final = 0.01
+"""A component is taken in where chance alone would ask for it less often than this."""
+HARDLY_ANY: Final = 0.01
+"""A component whose variance is a smaller part of that of the noise has been taken in by another."""
+MOST_SIGNALS: Final = 1500
+"""More signals than these are not searched: their matrices would take minutes."""
+WAVES: Final = 8
+"""Shapes of a random walk that are kept: those left out have 1 % of its variance."""
+NOISE: Final = "noise"
+SETTING: Final = "setting error"
+ANGLE: Final = "angle of a setting"
+DRIFT: Final = "drift"
+
+
+@dataclass(frozen=True)
+class Component:
+    """A variance that readings share; `size` is its standard deviation in the unit of the signal, rad of an angle.
+
+    `what` says what shares it, `channels` in which; `dof` are its degrees of freedom, and `p` is the probability
+    that chance alone asks for it as much.
+    """
+
+    what: str
+    channels: str
+    size: float
+    unit: str
+    dof: float
+    p: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "what": self.what,
+            "channels": self.channels,
+            "size": self.size,
+            "unit": self.unit,
+            "dof": self.dof,
+            "p": self.p,
+        }
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How far the biases wander about their mean over the run: `size` (3,) rms in the unit, over `hours`.
+
+    `course` (n, 3) is the estimate at each reading, `per_hour` (3,) the slope of its best line.
+    """
+
+    size: Floats
+    course: Floats
+    per_hour: Floats
+    hours: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "hours": self.hours,
+            "rms": dict(zip(CHANNELS, self.size.tolist(), strict=True)),
+            "per_hour": dict(zip(CHANNELS, self.per_hour.tolist(), strict=True)),
+        }
+
+
+@dataclass(frozen=True)
+class Shared:
+    """A fit that holds what its readings share, the components that were taken in, and the drift if one was.
+
+    `covariance` (3n + m, 3n + m) is that of the readings then; None where each is as the noise says.
+    """
+
+    fit: Fit
+    components: tuple[Component, ...] = ()
+    drift: Drift | None = None
+    covariance: Floats | None = None
+
+
+@dataclass(frozen=True)
+class _Term:
+    """A candidate: `columns` (N, q) of draws of unit variance times `scale` in the unit."""
+
+    what: str
+    channels: str
+    columns: Floats
+    unit_of: Floats
+    """What a draw of unit variance is in the unit of the signal (channels,) or rad."""
+
+
+def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> Shared:
+    """Return the fit with what its readings share. Nothing is searched where there are too few repeats.
+
+    Nor where the noise is that of the last digit, whose covariance is singular within rounding. `floor`
+    (unit of the signal) is the least noise that is believed.
+    """
+    try:
+        return _searched(problem, fit, unit, floor)
+    except np.linalg.LinAlgError:
+        return Shared(fit)
+
+
+def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
+    conditions, n = problem.conditions, len(problem.conditions)
+    if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats":
+        return Shared(fit)
+    if fit.noise.reading**2 <= DIGITS * floor**2:  # rounding repeats itself, and stands in no other number
+        return Shared(fit)
+    basic, further = _basic(fit), list(_further(conditions, fit))
+    mixed = _mixed(problem, fit, [t.columns for t in (*basic, *further)])
+    start = np.ones(len(basic) + len(further))
+    start[len(basic) :] = 0.0
+    if not fit.noise.setting_rad > 0:
+        start[len(basic) - 1] = 0.0
+    base = len(basic)
+    chance = asked_for(Projection.at(mixed, start), mixed.Z[base:], mixed.Z[:base])
+    kept = np.concatenate([np.ones(base, dtype=bool), chance < ASKED_P])
+    if not np.any(kept[base:]):
+        return Shared(fit)
+    own = mixed.only(kept)
+    least = np.zeros(int(kept.sum()))
+    least[:3] = np.minimum((floor / fit.noise.by_channel) ** 2, 1.0)
+    theta, _ = maximise(own, np.where(start[kept] > 0, start[kept], 0.2), np.ones(len(least)), least)
+    theta[base:] = np.where(theta[base:] < HARDLY_ANY, 0.0, theta[base:])
+    at = Projection.at(own, theta)
+    terms = [t for t, k in zip((*basic, *further), kept, strict=True) if k]
+    found = np.concatenate([np.zeros(base), chance])[kept]
+    if not np.any(theta[base:] > 0):
+        return Shared(fit)
+    return _shared(problem, fit, own, terms, theta, at, found, base, unit)
+
+
+# --- candidates -------------------------------------------------------------------------------------
+
+
+def _basic(fit: Fit) -> list[_Term]:
+    """The noise of each channel and the setting error, in units of the sizes that the repeats gave."""
+    n = len(fit.residuals)
+    free = fit.system.free
+    terms = []
+    for c, size in enumerate(fit.noise.by_channel.tolist()):
+        columns = np.zeros((3 * n + len(free.left), n + len(free.left)))
+        columns[3 * np.arange(n) + c, np.arange(n)] = size
+        columns[3 * n + np.arange(len(free.left)), n + np.arange(len(free.left))] = (
+            free.by_signal[:, c] * size
+        )
+        terms.append(_Term(NOISE, CHANNELS[c], columns, np.array([size])))
+    along = np.zeros((3 * n + len(free.left), n))
+    size = fit.noise.setting_rad or _typical(fit) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
+    for c in range(3):
+        along[3 * np.arange(n) + c, np.arange(n)] = fit.slope[:, c] * size
+    return [*terms, _Term(SETTING, "all", along, np.array([size]))]
+
+
+def _typical(fit: Fit) -> float:
+    return rms(fit.noise.by_channel)
+
+
+def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
+    """Yield what may be shared beyond that. A size of its own per channel only where repeats are many enough."""
+    settings = repeat_groups(conditions)
+    passes = _labels(conditions.mount, conditions.pass_number)
+    visits = _visits(conditions)
+    n, further = len(conditions), len(fit.system.free.left)
+    sizes = fit.noise.by_channel
+    if np.bincount(settings).max() > 1:
+        yield _Term("setting", "all", _by_group(settings, sizes, range(3), further), sizes)
+        yield _Term(ANGLE, "all", _along(settings, fit, further), np.array([_angle(fit)]))
+    if len(np.unique(visits)) < n and np.bincount(visits).max() > 1:
+        yield _Term("visit", "all", _by_group(visits, sizes, range(3), further), sizes)
+    if len(np.unique(passes)) > len(conditions.mounts):
+        for c in range(3):
+            yield _Term("pass", CHANNELS[c], _by_group(passes, sizes, [c], further), sizes[[c]])
+    shapes = _walk(conditions.elapsed_s)
+    if shapes.shape[1]:
+        for c in range(3):
+            columns = np.zeros((3 * n + further, shapes.shape[1]))
+            columns[c : 3 * n : 3] = shapes * sizes[c]
+            yield _Term(DRIFT, CHANNELS[c], columns, sizes[[c]])
+
+
+def _labels(*of: Ints) -> Ints:
+    return np.unique(np.stack(of, axis=1), axis=0, return_inverse=True)[1].ravel()
+
+
+def _visits(conditions: Conditions) -> Ints:
+    """Number the stays at a setting: readings that follow each other at one point of one pass."""
+    same = np.ones(max(len(conditions) - 1, 0), dtype=bool)
+    for column in (conditions.mount, conditions.pass_number, conditions.point):
+        same &= column[1:] == column[:-1]
+    return np.concatenate([[0], np.cumsum(~same)])
+
+
+def _by_group(groups: Ints, sizes: Floats, channels: Any, further: int) -> Floats:
+    n, count = len(groups), int(groups.max()) + 1
+    columns = np.zeros((3 * n + further, count * len(channels)))
+    for j, c in enumerate(channels):
+        columns[3 * np.arange(n) + c, groups * len(channels) + j] = sizes[c]
+    return columns
+
+
+def _angle(fit: Fit) -> float:
+    return _typical(fit) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
+
+
+def _along(groups: Ints, fit: Fit, further: int) -> Floats:
+    n, size = len(groups), _angle(fit)
+    columns = np.zeros((3 * n + further, int(groups.max()) + 1))
+    for c in range(3):
+        columns[3 * np.arange(n) + c, groups] = fit.slope[:, c] * size
+    return columns
+
+
+def _walk(time_s: Floats) -> Floats:
+    """Return the first shapes (n, q) of a random walk about its mean over the readings, of unit mean variance."""
+    if not np.ptp(time_s) > 0:
+        return np.zeros((len(time_s), 0))
+    walk = np.minimum.outer(time_s, time_s) - time_s.min()
+    centred = walk - walk.mean(axis=0) - walk.mean(axis=1)[:, None] + walk.mean()
+    size, shapes = np.linalg.eigh(centred / np.trace(centred) * len(time_s))
+    most = min(WAVES, int(np.sum(size > 1e-9 * size[-1])))
+    return np.asarray(shapes[:, ::-1][:, :most] * np.sqrt(size[::-1][:most]))
+
+
+# --- the fit with them ------------------------------------------------------------------------------
+
+
+def _mixed(problem: Problem, fit: Fit, Z: list[Floats]) -> Mixed:
+    """The linear system of the fit as data with fixed effects; what has a stated prior is a known covariance."""
+    system, others = fit.system, fit.others
+    rows = np.concatenate([system.jacobian.reshape(-1, system.jacobian.shape[2]), system.free.jacobian])
+    fixed = rows.shape[1] - len(others)
+    y = np.concatenate([system.left.ravel(), system.free.left])
+    y = y + rows[:, fixed:] @ (others - problem.prior_mean)
+    scaled = rows[:, fixed:] * problem.prior_u
+    return Mixed(y, rows[:, :fixed], tuple(Z), scaled @ scaled.T)
+
+
+def _shared(
+    problem: Problem, fit: Fit, mixed: Mixed, terms: list[_Term], theta: Floats, at: Projection, chance: Floats,
+    base: int, unit: str,
+) -> Shared:  # fmt: skip
+    used = theta > 0
+    information = at.information([z for z, u in zip(mixed.Z, used, strict=True) if u])
+    spread = np.linalg.pinv(information * np.outer(theta[used], theta[used]), rcond=1e-10)
+    dof = np.full(len(theta), np.inf)
+    dof[used] = 2.0 / np.maximum(np.diag(spread), 1e-12)
+    wider = theta * np.array([widening(nu) ** 2 for nu in dof])
+    noise = _noise(fit, terms, theta, dof, base)
+    n = len(fit.residuals)
+    prior_free = replace(mixed, known=np.zeros_like(mixed.known))
+    covariance = prior_free.covariance(wider)
+    final = finish(problem, fit, covariance, noise)
+    found = tuple(
+        Component(t.what, t.channels, float(np.sqrt(size)) * rms(t.unit_of),
+                  "rad" if t.what == ANGLE else unit, float(nu), float(p))
+        for t, size, nu, p in zip(terms[base:], theta[base:], dof[base:], chance[base:], strict=True)
+        if size > 0
+    )  # fmt: skip
+    drifts = [
+        (t, z, size) for t, z, size in zip(terms, mixed.Z, theta, strict=True) if t.what == DRIFT and size
+    ]
+    return Shared(final, found, _drift(problem, mixed, at, drifts, n) if drifts else None, covariance)
+
+
+def _noise(fit: Fit, terms: list[_Term], theta: Floats, dof: Floats, base: int) -> Noise:
+    sizes = np.sqrt(theta[:base]) * np.array([rms(t.unit_of) for t in terms[:base]])
+    channels = sizes[:3]
+    own = replace(fit.noise, reading=rms(channels), setting_rad=float(sizes[3]))
+    x, y, z = channels.tolist()
+    nx, ny, nz = np.where(np.isfinite(dof[:3]), dof[:3], fit.noise.reading_dof).tolist()
+    return replace(own, channels=(x, y, z), channel_dof=(nx, ny, nz))
+
+
+def _drift(
+    problem: Problem, mixed: Mixed, at: Projection, drifts: list[tuple[_Term, Floats, float]], n: int
+) -> Drift:
+    """The best linear prediction of each channel's course, and of the line through it."""
+    time_h = problem.conditions.elapsed_s / HOUR
+    line = time_h - time_h.mean()
+    size, course = np.zeros(3), np.zeros((n, 3))
+    for term, columns, variance in drifts:
+        c = CHANNELS.index(term.channels)
+        own = columns[c : 3 * n : 3]
+        course[:, c] = own @ (variance * (columns.T @ at.Py))
+        size[c] = float(np.sqrt(variance)) * rms(term.unit_of)
+    return Drift(size, course, line @ course / (line @ line), float(np.ptp(time_h)))
+
+
+def heavy_tails(problem: Problem, fit: Fit) -> float:
+    """Return the probability of so many large deviations of repeats where the noise is Gaussian; NaN if too few.
+
+    From the excess kurtosis of repeats about their means over their noise, whose standard deviation is sqrt(24/N).
+    """
+    if not len(problem.conditions) or fit.noise.source != "repeats":
+        return float("nan")
+    groups = repeat_groups(problem.conditions)
+    if scatter_of_repeats(fit.residuals, fit.slope, groups).settings < LEAST_REPEATS:
+        return float("nan")
+    count = np.bincount(groups)
+    means = np.stack([np.bincount(groups, column) for column in fit.residuals.T], axis=1) / count[:, None]
+    kept = count[groups] > 1
+    # a deviation from the mean of m has (m - 1)/m of the variance
+    left = (fit.residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
+    size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * fit.slope[kept]) ** 2)
+    z = left / size
+    excess = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
+    # repeats of a group are correlated: deviations count only as often as they are free
+    free = 3.0 * float((count - 1)[count > 1].sum())
+    return float(special.ndtr(-excess / np.sqrt(24.0 / free)))

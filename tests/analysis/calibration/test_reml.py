@@ -1,0 +1,52 @@
+"""Variance components: the balanced one-way layout has them in closed form."""
+
+import numpy as np
+import pytest
+
+from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximise
+
+GROUPS, REPEATS = 12, 4
+
+
+def one_way(seed, between, within):
+    rng = np.random.default_rng(seed)
+    labels = np.repeat(np.arange(GROUPS), REPEATS)
+    y = 5.0 + rng.normal(0, between, GROUPS)[labels] + rng.normal(0, within, len(labels))
+    member = (labels[:, None] == np.arange(GROUPS)).astype(float)
+    n = len(y)
+    return Mixed(y, np.ones((n, 1)), (np.eye(n), member), np.zeros((n, n)))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_one_way_layout_in_closed_form(seed):
+    """Within: the mean square within; between: (mean square between less that)/repeats."""
+    mixed = one_way(seed, 2.0, 1.0)
+    cells = mixed.y.reshape(GROUPS, REPEATS)
+    within = np.sum((cells - cells.mean(axis=1, keepdims=True)) ** 2) / (GROUPS * (REPEATS - 1))
+    between = (REPEATS * np.var(cells.mean(axis=1), ddof=1) - within) / REPEATS
+    assert between > 0
+    theta, _ = maximise(mixed, np.array([1.0, 1.0]), np.ones(2))
+    np.testing.assert_allclose(theta, [within, between], rtol=1e-2)
+
+
+def test_what_is_not_there_is_nothing():
+    """Seed 10 has a mean square between below that within: the estimate lies at its lower end."""
+    mixed = one_way(10, 0.0, 1.0)
+    cells = mixed.y.reshape(GROUPS, REPEATS)
+    within = np.sum((cells - cells.mean(axis=1, keepdims=True)) ** 2) / (GROUPS * (REPEATS - 1))
+    assert REPEATS * np.var(cells.mean(axis=1), ddof=1) < within
+    theta, _ = maximise(mixed, np.array([1.0, 0.5]), np.ones(2))
+    assert theta[1] == 0.0
+
+
+def test_a_component_that_is_there_is_asked_for_and_one_that_is_not_as_seldom_as_is_said():
+    """400 draws, seeds [9, k]: p below 0.05 in 5 %, to four standard errors."""
+    chance = []
+    for seed in range(400):
+        mixed = one_way([9, seed], 0.0, 1.0)
+        base = mixed.only(np.array([True, False]))
+        chance.append(asked_for(Projection.at(base, np.ones(1)), mixed.Z[1:], mixed.Z[:1])[0])
+    assert np.mean(np.array(chance) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 400))
+    there = one_way(10, 2.0, 1.0)
+    base = there.only(np.array([True, False]))
+    assert asked_for(Projection.at(base, np.ones(1)), there.Z[1:], there.Z[:1])[0] < 1e-6
