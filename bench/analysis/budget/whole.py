@@ -18,6 +18,7 @@ from bench.analysis.budget.coefficients import parts_of
 from bench.analysis.budget.propagation import effective_dof
 from bench.analysis.budget.setup import meters_of
 from bench.analysis.budget.sources import ROLL_ORIGIN, ErrorSource, assumed_stand, hidden_sources
+from bench.analysis.calibration.components import walk_since
 from bench.analysis.calibration.result import Calibration, SourceOfError
 from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
@@ -157,6 +158,13 @@ def delta_g_covariance(
     )
     whole = by_coefficient @ fitted @ by_coefficient.T
     whole += np.diag(np.sum((by_signal * calibration.noise.widened().by_channel) ** 2, axis=1))
+    if calibration.drift is not None:
+        # U0 is the mean of the run; by the time of the check the biases have gone on
+        time_s = readings.conditions().elapsed_s
+        used = np.any(calibration.gain != 0.0, axis=(0, 2))
+        gone = walk_since(time_s[used], time_s[rows])
+        for c, size in enumerate(calibration.drift.size.tolist()):
+            whole += size**2 * gone * np.outer(by_signal[:, c], by_signal[:, c])
     if readings.unit != VOLTS:
         return np.asarray(whole)
     for error in _acting(calibration, bench, model, day):

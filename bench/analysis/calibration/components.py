@@ -244,6 +244,20 @@ def _walk(time_s: Floats) -> Floats:
     return np.asarray(shapes[:, ::-1][:, :most] * np.sqrt(size[::-1][:most]))
 
 
+def walk_since(time_s: Floats, later_s: Floats) -> Floats:
+    """Return the covariance (v, v) of a random walk at later times about its mean over readings at `time_s` (n,).
+
+    In units of its mean variance over these readings, as the size of a drift is stated.
+    """
+    begin = min(float(time_s.min()), float(later_s.min()))
+    at, then = time_s - begin, later_s - begin
+    own, across = np.minimum.outer(at, at), np.minimum.outer(then, at)
+    mean = across.mean(axis=1)
+    about = np.minimum.outer(then, then) - mean[:, None] - mean + own.mean()
+    size = float(np.mean(np.diag(own)) - own.mean())
+    return np.asarray(about / size) if size > 0 else np.zeros((len(later_s),) * 2)
+
+
 # --- the fit with them ------------------------------------------------------------------------------
 
 
