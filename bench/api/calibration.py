@@ -28,7 +28,6 @@ from bench.base.whole import write_whole
 from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS
 
-LACK_OF_FIT_P = 0.01
 SEVERAL_TEMPERATURES = 3
 
 
@@ -113,7 +112,7 @@ class CalibrationResult:
     @property
     def accepted(self) -> bool:
         """Whether the model fits the readings (p of lack of fit not below 0.01) and the block is no other."""
-        return not self.doubts and not self.calibration.lack_of_fit.p < LACK_OF_FIT_P
+        return not self.doubts and not self.calibration.lack_of_fit.shown
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""

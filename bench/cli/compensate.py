@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from bench.analysis.temperature.table import CompensationTable
     from bench.api.source import Source
 
-FITS_P = 0.01
 HYSTERESIS_P = 0.05
 
 
@@ -108,7 +107,7 @@ def compensate(
 def _fits(model: TemperatureModel) -> bool:
     """Whether neither the fit nor the curve over temperature is contradicted by the readings."""
     tests = [model.fitted] + ([model.curve] if model.curve else [])
-    return not any(test.p < FITS_P for test in tests)
+    return not any(test.shown for test in tests)
 
 
 def _degree(text: str) -> int | None:
@@ -253,6 +252,6 @@ def _print_fit(model: TemperatureModel, out: Console) -> None:
             else "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that is not the same at all temperatures, a "
             "lag, or too few degrees"
         )
-        verdict = contradicted if test.p < FITS_P else "none shown at 1 %"
+        verdict = contradicted if test.shown else "none shown at 1 %"
         against = "" if test is model.fitted else " against coefficients free at each temperature"
         out.print(f"{what}{against}: chi2 {test.chi2:.1f} for {test.dof}, p = {test.p:.2g}: {verdict}")

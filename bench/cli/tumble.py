@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from bench.analysis.tumble.view import TumbleView
 
-FITS_P = 0.01
 CLOSE = 0.95
 """A correlation beyond which two terms are told to hang together."""
 
@@ -71,7 +70,7 @@ def tumble(
             "notes": [*view.notes, *source.readings.notes, *source.readings.skipped],
         }
         results.append(result)
-        fits = fits and not view.lack_of_fit.p < FITS_P
+        fits = fits and not view.lack_of_fit.shown
         file = printing.write_result(source, "tumble", result, what_if=source.what_if)
         on = printing.console(json=json)
         _print(view, source.name, on)
@@ -97,7 +96,7 @@ def _print(view: TumbleView, name: str, on: Console) -> None:
         )
     fit = view.lack_of_fit
     if math.isfinite(fit.p):
-        verdict = "none shown at 1 %" if fit.p >= FITS_P else "THESE TERMS DO NOT FIT the readings"
+        verdict = "none shown at 1 %" if not fit.shown else "THESE TERMS DO NOT FIT the readings"
         on.print(
             f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
         )

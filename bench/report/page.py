@@ -24,9 +24,6 @@ from bench.report import plots, tables
 from bench.report.content import ReportContent
 from bench.report.template import page
 
-FITS: Final = 0.01
-"""Probability of lack of fit below which the page says that model and readings disagree."""
-
 
 def render_report(content: ReportContent) -> str:
     """Return the report as one self-contained HTML page; the same content gives the same text."""
@@ -156,7 +153,7 @@ def fit_in_words(fit: LackOfFit) -> FitInWords:
             "misfit from scatter.",
         )
     figures = f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}"
-    if fit.p >= FITS:
+    if not fit.shown:
         return FitInWords(
             "fits",
             figures,

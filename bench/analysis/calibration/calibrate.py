@@ -33,9 +33,6 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
 from bench.readings.table import FREE, VERIFICATION, Readings
 
-LACK_OF_FIT_P: Final = 0.01
-"""A model fits readings where chance leaves so much at least this often."""
-
 ROUNDING: Final = 1e-9
 """Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
 
@@ -235,7 +232,7 @@ def _birge(test: LackOfFit, shared: Shared) -> float:
 
     The Birge ratio, the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
     """
-    if shared.components or not test.p < LACK_OF_FIT_P or test.dof <= 0:
+    if shared.components or not test.shown or test.dof <= 0:
         return 1.0
     return max(1.0, float(np.sqrt(test.chi2 / test.dof)))
 

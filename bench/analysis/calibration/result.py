@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 COVERAGE_FACTOR: Final = 2.0
 """U is so many times u."""
 
+LACK_OF_FIT_P: Final = 0.01
+"""A model fits readings where chance leaves as much at least this often."""
+
 HARDLY_BETTER = 0.95
 """An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""
 
@@ -78,8 +81,7 @@ class Noise:
     def reading_dof(self) -> float:
         """Degrees of freedom of the reading noise: two of three signals tell of it, the third of the setting.
 
-        Where no setting is known, as for free positions, all of them do. Those of channels with sizes of their
-        own are their mean.
+        Where no setting is known all of them do; channels with sizes of their own have the mean of theirs.
         """
         if self.channel_dof is not None:
             return float(np.mean(self.channel_dof))
@@ -121,6 +123,11 @@ class LackOfFit:
     chi2: float
     dof: int
     p: float
+
+    @property
+    def shown(self) -> bool:
+        """Whether a lack of fit is shown; what cannot be judged shows none."""
+        return self.p < LACK_OF_FIT_P
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake
 from bench.base.numbers import fixed, quantity, rounded, two_digits
 from bench.model import CATALOGUE
-from bench.report.page import FITS
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
 """Units as files write them, and as a page does."""
@@ -186,7 +185,7 @@ def joined_in_words(shown: Shown) -> Iterator[str]:
 
 def still_missing(shown: Shown) -> bool:
     """Whether the readings differ from the best model by more than their repeats explain."""
-    return shown.last.tested and shown.last.test.p < FITS
+    return shown.last.tested and shown.last.test.shown
 
 
 def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
