@@ -40,8 +40,15 @@ THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", 
 def diagnose(
     sources: Sources,
     together: Annotated[
-        bool, typer.Option("--together", help="Several sources are one body of data: one block, one bench.")
+        bool, typer.Option("--together", help="Several sources are one body of data, of one bench.")
     ] = False,
+    one_block: Annotated[
+        bool | None,
+        typer.Option(
+            "--one-block/--a-block-each",
+            help="With --together: whose runs they are (default: as names and readings say).",
+        ),
+    ] = None,
     accept_first: Annotated[
         bool,
         typer.Option(
@@ -73,7 +80,9 @@ def diagnose(
 
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
     try:
-        results = diagnosed(request, json, together=together, accept_first=accept_first, report=report)
+        results = diagnosed(
+            request, json, together=together, one_block=one_block, accept_first=accept_first, report=report
+        )
     except TooLittleLeft as found:
         if len(sources) > 1:
             raise
@@ -95,6 +104,7 @@ def diagnosed(
     target: str | None,
     *,
     together: bool = False,
+    one_block: bool | None = None,
     accept_first: bool = False,
     report: bool | None = None,
 ) -> list[FullDiagnosis]:
@@ -110,7 +120,7 @@ def diagnosed(
     loaded = load_sources(request)
     printing.bench_files(loaded, target)
     if alone:
-        body = body_of(loaded)
+        body = body_of(loaded, one_block=one_block)
         with progress.shown():
             results = [examined(body, accept_first=accept_first, report=report is not False)]
     else:
@@ -156,7 +166,7 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     """Diagnose a body of readings and write what is asked for, the procedure to carry out next in any case."""
     from bench.api.diagnosis import diagnosis_of
 
-    full = diagnosis_of(body.source)
+    full = diagnosis_of(body.source, body.nominal)
     if full.diagnosis.verdict in ({"named", "confounded"} if accept_first else {"named"}):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:

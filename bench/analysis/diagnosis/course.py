@@ -15,22 +15,22 @@ from bench.analysis.diagnosis.candidates import (
     Candidates,
     Variant,
     in_volts,
-    make_candidates,
 )
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
+from bench.analysis.diagnosis.joint import find_mistakes_in_each, make_system, with_blocks
 from bench.analysis.diagnosis.known_together import known_together
-from bench.analysis.diagnosis.linear import make_linear
 from bench.analysis.diagnosis.naming import Naming, name
 from bench.analysis.diagnosis.noise_grid import RATIOS, make_noise_grid
+from bench.analysis.diagnosis.one_run import TOGETHER, look_in_each
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.repeats import noise_of_repeats
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
+from bench.analysis.diagnosis.runs import candidates_of
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
 from bench.analysis.diagnosis.where import find_places
-from bench.analysis.mistakes.search import find_mistakes
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.conditions import REMOUNT_S, SETTING_S
@@ -50,24 +50,35 @@ def diagnose(
     """Diagnose one table of readings against a model.
 
     `stand_u` holds standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad;
-    `nominal_scale_factors` (3,) with sign come from the data sheet of the block (unit/g) and tell swapped or
-    reversed channels. The record is never changed: a mistake is corrected in a copy. Raises
+    `nominal_scale_factors` (3,), or (blocks, 3) of several, with sign come from the data sheet (unit/g) and tell
+    swapped or reversed channels. The record is never changed: a mistake is corrected in a copy. Raises
     `CalibrationError` where the readings do not determine the coefficients.
     """
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
-    mistakes = find_mistakes(readings, model, stand, nominal_scale_factors)
-    linear = make_linear(mistakes.corrected, model, stand)
+    readings = with_blocks(readings, model)
+    mistakes = find_mistakes_in_each(readings, model, stand, nominal_scale_factors)
+    linear = make_system(mistakes.corrected, model, stand)
     repeats = noise_of_repeats(linear, readings.resolution)
     grid = make_noise_grid(linear, repeats.sigma, setting_rad)
-    candidates = make_candidates(linear, repeats.sigma)
+    candidates = candidates_of(linear, repeats.sigma)
     whitened = Whitened.of(grid, candidates)
-    limit = (cache or ThresholdCache(None)).threshold(linear, whitened, setting_rad)
+    thresholds = cache or ThresholdCache(None)
+    limit = thresholds.threshold(linear, whitened, setting_rad)
+    several = bool(linear.readings.run.any())
+    limit = limit.at(TOGETHER) if several else limit
     registered = register(linear, limit)
 
     data = whitened.reduce(linear.response[:, None])
     naming = name(whitened, data, limit)
     noise = noise_size(whitened, data, naming.columns)
+    if several:
+        candidates, alone = look_in_each(linear, candidates, naming, noise, stand, setting_rad, thresholds)
+        if alone:
+            whitened = Whitened.of(grid, candidates)
+            data = whitened.reduce(linear.response[:, None])
+            naming = name(whitened, data, limit, alone)
+            noise = noise_size(whitened, data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
     ratio = RATIOS.index(near_ratios(linear, noise)[1])

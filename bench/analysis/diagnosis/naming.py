@@ -131,12 +131,12 @@ class Scored:
         return np.asarray(amplitude, dtype=np.float64), gram
 
 
-def name(whitened: Whitened, data: Data, threshold: Threshold) -> Naming:
-    """Find what is missing in one data set."""
-    found: list[Found] = []
+def name(whitened: Whitened, data: Data, threshold: Threshold, begun: Sequence[Found] = ()) -> Naming:
+    """Find what is missing in one data set, beside what was found of it by other means (`begun`)."""
+    found = list(begun)
     while True:
         scored = Scored.beside(whitened, data, _columns(found))
-        if scored.total < threshold.value or len(found) == MOST_EFFECTS:
+        if scored.total < threshold.value or len(found) == MOST_EFFECTS + len(begun):
             break
         best = scored.best()
         pair = None if best.variant.named else _named_pair(scored, data, best)

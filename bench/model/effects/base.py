@@ -83,9 +83,10 @@ class Seen:
 class Effect(ABC):
     """An effect of the forward model. Stateless: its parameters' values are passed in.
 
-    `sentence` says what it is, `shown_by` what measurement would show it. A `per_mount` effect may be of
-    one mounting alone; one that `lasts` stays from that mounting on. `needs_history` is true where a reading
-    depends on the rows before it, `needs_path` where it depends on how the head came there.
+     `sentence` says what it is, `shown_by` what measurement would show it. A `per_mount` effect may be of
+     one mounting alone; one that `lasts` stays from that mounting on to the end of the run.
+    `needs_history` is true where a reading
+     depends on the rows before it, `needs_path` where it depends on how the head came there.
     """
 
     name: ClassVar[str]
@@ -182,7 +183,13 @@ class AppliedEffect:
             return np.ones(len(conditions), dtype=bool)
         has = np.array([str(mount) in self.installations for mount in conditions.mounts], dtype=bool)
         rows: Mask = has[conditions.mount]
-        return np.logical_or.accumulate(rows) if self.effect.lasts else rows
+        if not self.effect.lasts:
+            return rows
+        began_s = np.zeros(len(rows)) if conditions.began_s is None else conditions.began_s
+        for began in np.unique(began_s):
+            run = began_s == began
+            rows[run] = np.logical_or.accumulate(rows[run])
+        return rows
 
     def addition(self, seen: Seen) -> Floats:
         """Return what the effect adds with its values, zero outside its mountings (see `Effect.addition`)."""

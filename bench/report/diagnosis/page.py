@@ -22,6 +22,9 @@ from bench.report.template import page
 DRAWN: Final = 4
 """Mountings of which the residuals are drawn in full view; those beyond are folded away."""
 
+MOST_DRAWN: Final = 12
+"""Mountings of which residuals are drawn at all: many runs have many."""
+
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 """Colour of the verdict; of the others it is that of a failure."""
 
@@ -120,10 +123,9 @@ def _tests(shown: Shown) -> list[Row]:
 
 
 def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:
-    """Return the figures of the mountings: those in full view, and those folded away."""
-    figures = [
-        _drawn(plots.residuals_of_mount(shown, i)) for i in range(len(mounts_of(shown.before.calibration)))
-    ]
+    """Return the figures of the first mountings: those in full view, and those folded away."""
+    mounts = mounts_of(shown.before.calibration)[:MOST_DRAWN]
+    figures = [_drawn(plots.residuals_of_mount(shown, i)) for i in range(len(mounts))]
     return figures[:DRAWN], figures[DRAWN:]
 
 
