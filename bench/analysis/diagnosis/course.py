@@ -79,6 +79,7 @@ def diagnose(
         effects = (*effects, _unexplained(p_left))
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects),
+        of_copy=_verdict(False, effects),
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,

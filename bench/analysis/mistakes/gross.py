@@ -46,7 +46,7 @@ LARGE_FALL: Final = 0.8
 block nearer to its data sheet, if all that is wrong is against it)."""
 
 LEAST_OF_TWO: Final = 0.25
-"""Two mistakes leave as much at least, g^2 over all readings: positions that tilt by a degree leave a tenth of it."""
+"""Two mistakes leave as much at least, g^2 over all readings; positions that tilt by a degree a tenth of it."""
 RAISED: Final = 2.0
 """The first of two mistakes, put right by itself, may raise the cost, but by no more than so many times."""
 

@@ -33,7 +33,7 @@ class Prior:
 def log_evidence(
     table: Oriented, columns: Floats, unit: float, prior: Prior, least_g: float, left_out: int
 ) -> float:
-    """Return ln of the probability of the readings, errors of `least_g` or more, coefficients as the prior has them.
+    """Return ln of the probability of the readings: errors of `least_g` or more, coefficients of a prior.
 
     `columns` (n, 4) are specific forces and ones, `unit` what 1 g is in the signals; `left_out` readings of the
     record are not in the table.
