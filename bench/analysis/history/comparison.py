@@ -102,8 +102,7 @@ class Snapshot:
         meters = (self.covariance - self.without_meters) + (first.covariance - first.without_meters)
         block = theirs
         mine, other = self.block_terms, first.block_terms
-        known = mine is not None and other is not None and self.block == first.block
-        if known and mine.shape == other.shape:
+        if mine is not None and other is not None and (self.block, mine.shape) == (first.block, other.shape):
             block = _of_block(mine - other) - _of_block(mine)
         return replace(self, covariance=own + part * meters + block)
 
