@@ -14,12 +14,17 @@ from bench.analysis.diagnosis import Diagnosis, ThresholdCache
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
 from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
+from bench.api.origin import SUFFIX
+from bench.api.own_effects import knowing_effects_of
 from bench.api.provenance import provenance
 from bench.api.source import Source, data_sha256
 from bench.base.arrays import Floats
 from bench.base.cache import cache_folder
 from bench.base.tables import as_text
+from bench.base.visible import visible
 from bench.base.whole import write_whole
+from bench.readings.corrected import as_read
+from bench.readings.csv import format_csv
 from bench.readings.joined import JoinedPart, together
 
 
@@ -38,6 +43,29 @@ class Body:
     def output(self, suffix: str) -> Path:
         """Return the file that is written for it."""
         return self.source.output(self.command, suffix)
+
+    def copy_files(self, full: FullDiagnosis) -> dict[Path, str]:
+        """Return the readings file of the copy with mistakes put right, and the one that tells where it comes from.
+
+        It reads, with the same bench file, to the very readings that were searched. Nothing where there was no
+        mistake.
+        """
+        mistakes = full.diagnosis.mistakes
+        if not mistakes.mistakes:
+            return {}
+        path = self.output("-corrected.csv")
+        text = format_csv(as_read(mistakes.corrected, self.source.traced.by))
+        files = {path: text}
+        if self.source.origin is not None and len(self.sha256) == 1:
+            mended = tuple(visible(mistake.words) for mistake in mistakes.mistakes)
+            origin = self.source.origin.model_copy(update={"mended": (*self.source.origin.mended, *mended)})
+            files[path.with_name(path.name + SUFFIX)] = origin.text_beside(path, text.encode())
+        return files
+
+    def sha256_with_copy(self, full: FullDiagnosis) -> tuple[str, ...]:
+        """Return the hashes of what was searched: the body's, and that of the copy with mistakes put right."""
+        copy = as_read(full.diagnosis.mistakes.corrected, self.source.traced.by)
+        return self.sha256 if not full.diagnosis.mistakes.mistakes else (*self.sha256, data_sha256(copy))
 
 
 @dataclass(frozen=True)
@@ -77,7 +105,8 @@ class DiagnosisResult:
         """Print the diagnosis in the order in which it was made."""
         from bench.report.diagnosis.terminal import print_one
 
-        print_one(self.full, out)
+        with knowing_effects_of(self.source):
+            print_one(self.full, out)
 
     def __repr__(self) -> str:
         """Return what `bench diagnose` prints, and which bench file was taken."""
@@ -107,9 +136,9 @@ def body_of(sources: list[Source], *, one_block: bool | None = None) -> Body:
     model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
     name = " + ".join(source.name for source in sources)
     entries = tuple(entry for source in sources for entry in source.traced.entries)
-    whole = replace(
-        first, readings=readings, model=model, name=name, traced=replace(first.traced, entries=entries)
-    )
+    own = tuple(dict.fromkeys(effect for source in sources for effect in source.effects))
+    traced = replace(first.traced, entries=entries)
+    whole = replace(first, readings=readings, model=model, name=name, traced=traced, effects=own)
     nominal = None
     if blocks[0] is not None:
         kinds = {n: s for n, s in zip(blocks, sources, strict=True) if n is not None}
@@ -165,17 +194,18 @@ def diagnosis_of(source: Source, nominal: Floats | None = None) -> FullDiagnosis
     readings, known = put_right(source)
     taken = source.taken.to_dict()
     try:
-        full = diagnose_fully(
-            readings,
-            source.model,
-            source.bench,
-            source.g_m_s2,
-            ThresholdCache(cache_folder("thresholds")),
-            source=source.name,
-            simulated=source.simulated,
-            known=known,
-            nominal=nominal,
-        )
+        with knowing_effects_of(source):
+            full = diagnose_fully(
+                readings,
+                source.model,
+                source.bench,
+                source.g_m_s2,
+                ThresholdCache(cache_folder("thresholds")),
+                source=source.name,
+                simulated=source.simulated,
+                known=known,
+                nominal=nominal,
+            )
     except TooLittleLeft as found:
         found.bench, found.corrections = taken, source.traced.to_json()
         raise
@@ -187,4 +217,5 @@ def diagnosis_page(source: Source, full: FullDiagnosis) -> str:
     from bench.report.diagnosis.page import render_diagnosis
 
     title = f"Diagnosis of {source.block_name or source.name}"
-    return render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))
+    with knowing_effects_of(source):
+        return render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))

@@ -28,6 +28,8 @@ from bench.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
     from bench.api.diagnosis import Body
     from bench.api.source import Request
@@ -110,8 +112,8 @@ def diagnosed(
 ) -> list[FullDiagnosis]:
     """Diagnose the sources, each by itself or all `together`; print, write JSON to `target`, and return it."""
     from bench.api.diagnosis import body_of
+    from bench.api.own_effects import knowing_effects_of
     from bench.api.source import check_places, load_sources
-    from bench.report.diagnosis.terminal import print_one, print_several
 
     printing.check_target(target)
     check_places(request)
@@ -119,19 +121,26 @@ def diagnosed(
     out = printing.console(json=target)
     loaded = load_sources(request)
     printing.bench_files(loaded, target)
-    if alone:
-        body = body_of(loaded, one_block=one_block)
-        with progress.shown():
-            results = [examined(body, accept_first=accept_first, report=report is not False)]
-    else:
-        with progress.shown():
-            results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
-    printing.write_json([one.to_dict() for one in results], target)
+    with knowing_effects_of(*loaded):
+        if alone:
+            body = body_of(loaded, one_block=one_block)
+            with progress.shown():
+                results = [examined(body, accept_first=accept_first, report=report is not False)]
+        else:
+            with progress.shown():
+                results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
+        printing.write_json([one.to_dict() for one in results], target)
+        _print(results, out, alone=alone)
+    return results
+
+
+def _print(results: list[FullDiagnosis], out: Console, *, alone: bool) -> None:
+    from bench.report.diagnosis.terminal import print_one, print_several
+
     if alone:
         print_one(results[0], out)
     else:
         print_several(results, out)
-    return results
 
 
 def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iterator[FullDiagnosis]:
@@ -154,9 +163,12 @@ def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iter
 def _one_of_several(request: Request, name: str, *, accept_first: bool, report: bool) -> FullDiagnosis:
     from bench.api.diagnosis import body_of
     from bench.api.source import load_sources
+    from bench.files.formulas import effects_in, files_of_environment
+    from bench.model import CATALOGUE
 
-    body = body_of(load_sources(replace(request, sources=[name])))
-    return examined(body, accept_first=accept_first, report=report)
+    with CATALOGUE.also(effects_in(files_of_environment())):
+        body = body_of(load_sources(replace(request, sources=[name])))
+        return examined(body, accept_first=accept_first, report=report)
 
 
 # --- one body of readings ---------------------------------------------------------------------------
@@ -167,7 +179,8 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     from bench.api.diagnosis import diagnosis_of
 
     full = diagnosis_of(body.source, body.nominal)
-    if full.diagnosis.verdict in ({"named", "confounded"} if accept_first else {"named"}):
+    full = replace(full, copy=_written_copy(body, full))
+    if full.diagnosis.of_copy in ({"named", "confounded"} if accept_first else {"named"}):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:
         try:
@@ -176,6 +189,21 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
         except OSError as error:
             _not_written(body, "the next procedure", error)
     return replace(full, report=_written_report(body, full)) if report else full
+
+
+def _written_copy(body: Body, full: FullDiagnosis) -> Path | None:
+    """Write the readings with mistakes put right; None where there was none or it cannot be written."""
+    from bench.base.whole import write_whole
+
+    files = body.copy_files(full)
+    try:
+        for path, text in files.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, text)
+    except OSError as error:
+        _not_written(body, "the corrected copy of the readings", error)
+        return None
+    return next(iter(files), None)
 
 
 def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
@@ -197,7 +225,7 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
                 after.model.name,
                 (*after.effects[: len(source.model.effects)], *full.diagnosis.applied),
                 parent=source.model.name,
-                data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256))),
+                data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256_with_copy(full)))),
                 evidence=evidence_in_words(full),
             )
         except FileMistakes:  # it was free a moment ago, and another program has it now

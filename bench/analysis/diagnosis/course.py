@@ -57,7 +57,7 @@ def diagnose(
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
     readings = with_blocks(readings, model)
-    mistakes = find_mistakes_in_each(readings, model, stand, nominal_scale_factors)
+    mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     linear = make_system(mistakes.corrected, model, stand)
     repeats = noise_of_repeats(linear, readings.resolution)
     grid = make_noise_grid(linear, repeats.sigma, setting_rad)
@@ -90,6 +90,7 @@ def diagnose(
         effects = (*effects, _unexplained(p_left))
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects),
+        of_copy=_verdict(False, effects),
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
@@ -108,7 +109,8 @@ def diagnose(
 
 
 def _assumed(readings: Readings) -> Iterator[str]:
-    """Yield what the diagnosis takes for granted where the readings do not say it."""
+    """Yield what the diagnosis takes for granted where the readings do not say it, and what it could not have."""
+    yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
     if not np.isfinite(readings.time_s).any():
         yield (
             f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "
