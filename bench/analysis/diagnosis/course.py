@@ -22,7 +22,7 @@ from bench.analysis.diagnosis.joint import find_mistakes_in_each, make_system, w
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.naming import Naming, name
 from bench.analysis.diagnosis.noise_grid import RATIOS, make_noise_grid
-from bench.analysis.diagnosis.one_run import TOGETHER, look_in_each
+from bench.analysis.diagnosis.one_run import TOGETHER, EachRun, name_in_all_and_each
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.repeats import noise_of_repeats
@@ -70,15 +70,13 @@ def diagnose(
     registered = register(linear, limit)
 
     data = whitened.reduce(linear.response[:, None])
-    naming = name(whitened, data, limit)
-    noise = noise_size(whitened, data, naming.columns)
     if several:
-        candidates, alone = look_in_each(linear, candidates, naming, noise, stand, setting_rad, thresholds)
-        if alone:
-            whitened = Whitened.of(grid, candidates)
-            data = whitened.reduce(linear.response[:, None])
-            naming = name(whitened, data, limit, alone)
-            noise = noise_size(whitened, data, naming.columns)
+        each = EachRun(stand, setting_rad, repeats.sigma, thresholds)
+        whitened, naming = name_in_all_and_each(linear, whitened, limit, each)
+        candidates, data = whitened.candidates, whitened.reduce(linear.response[:, None])
+    else:
+        naming = name(whitened, data, limit)
+    noise = noise_size(whitened, data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
     ratio = RATIOS.index(near_ratios(linear, noise)[1])

@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates, Column, make_candidates
-from bench.analysis.diagnosis.evidence import Whitened
+from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.naming import Found, Naming, name
+from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
-from bench.analysis.diagnosis.posterior import NoiseSize, fit_found
+from bench.analysis.diagnosis.posterior import noise_size, posterior
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.base.arrays import Floats, Mask
 from bench.base.progress import tracked
@@ -34,32 +34,89 @@ class _Run:
     linear: LinearSystem
 
 
-def look_in_each(
-    linear: LinearSystem,
-    candidates: Candidates,
-    naming: Naming,
-    noise: NoiseSize,
-    stand_u: Mapping[str, float],
-    setting_rad: float,
-    cache: ThresholdCache,
+COMMON: Final = 5
+"""What more than one run in so many shows by itself is not theirs alone."""
+
+UNLIKELY: Final = 5.0
+"""What a run has alone stays beside what all have when its ln odds are so much above none."""
+
+
+@dataclass(frozen=True)
+class EachRun:
+    """How each run is searched by itself: limits of the stand, the noise of a reading, thresholds."""
+
+    stand_u: Mapping[str, float]
+    setting_rad: float
+    sigma: float
+    cache: ThresholdCache
+
+
+def name_in_all_and_each(
+    linear: LinearSystem, whitened: Whitened, limit: Threshold, each: EachRun
+) -> tuple[Whitened, Naming]:
+    """Find what all runs have and what one has alone; return it with the candidates that it is among.
+
+    What a few have alone is looked for first, or it would pass for something that all have; then what all have
+    beside it; then again what one has beside that.
+    """
+    response = linear.response[:, None]
+    data = whitened.reduce(response)
+    grown, alone = _look_in_each(linear, whitened, data, Naming((), 0.0), each)
+    runs = len(np.unique(linear.readings.run))
+    if alone and len({one.variant.mounts for one in alone}) <= max(1, runs // COMMON):
+        whitened = Whitened.of(whitened.grid, grown)
+        data = whitened.reduce(response)
+    else:
+        alone = ()
+    naming = name(whitened, data, limit, alone)
+    grown, more = _look_in_each(linear, whitened, data, naming, each)
+    if not alone and not more:
+        return whitened, naming
+    whitened = Whitened.of(whitened.grid, grown) if more else whitened
+    data = whitened.reduce(response)
+    begun = [*alone, *more]
+    for _ in range(len(begun)):
+        naming = name(whitened, data, limit, begun)
+        kept = [one for one in begun if _stays(whitened, data, naming, one)]
+        if len(kept) == len(begun):
+            break
+        begun = kept
+    else:
+        naming = name(whitened, data, limit, begun)
+    return whitened, naming
+
+
+def _stays(whitened: Whitened, data: Data, naming: Naming, one: Found) -> bool:
+    """Whether what a run has alone is still there beside all that was found, or gave its place to another form."""
+    if one.variant not in [found.variant for found in naming.found]:
+        return True
+    others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
+    scores = Scored.beside(whitened, data, others).scores
+    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > UNLIKELY
+
+
+def _look_in_each(
+    linear: LinearSystem, whole: Whitened, data: Data, naming: Naming, each: EachRun
 ) -> tuple[Candidates, tuple[Found, ...]]:
     """Look in each run for what it has alone; return the candidates with its columns added, and what was found.
 
     One threshold, that of the first run, serves for all, at a part of the probability for each. Coefficients are
     free in every run: what one has of another zero or scale factor is no find here.
     """
-    common = fit_found(linear, candidates, naming, noise).amplitudes
-    in_all = candidates.columns[:, list(naming.columns)] @ common
+    candidates, sigma = whole.candidates, each.sigma
+    columns = candidates.columns[:, list(naming.columns)]
+    common = np.zeros(0)
+    if naming.found:
+        common = posterior(linear, columns, noise_size(whole, data, naming.columns)).amplitudes
     limit: Threshold | None = None
     found: list[Found] = []
-    numbers = np.unique(linear.readings.run)
-    for run in tracked(list(_runs(linear, in_all, stand_u)), "runs, each by itself"):
-        own = make_candidates(run.linear, noise.reading)
-        whitened = Whitened.of(make_noise_grid(run.linear, noise.reading, setting_rad), own)
+    runs = list(_runs(linear, columns @ common, each.stand_u))
+    for run in tracked(runs, "runs, each by itself"):
+        own = make_candidates(run.linear, sigma)
+        whitened = Whitened.of(make_noise_grid(run.linear, sigma, each.setting_rad), own)
         if limit is None:
-            limit = cache.threshold(run.linear, whitened, setting_rad).at(ALONE / len(numbers))
-        alone = name(whitened, whitened.reduce(run.linear.response[:, None]), limit)
-        for one in alone.found:
+            limit = each.cache.threshold(run.linear, whitened, each.setting_rad).at(ALONE / len(runs))
+        for one in name(whitened, whitened.reduce(run.linear.response[:, None]), limit).found:
             candidates, embedded = _embedded(candidates, own, one, run)
             found.append(embedded)
     return candidates, tuple(found)
