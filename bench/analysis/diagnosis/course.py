@@ -18,6 +18,7 @@ from bench.analysis.diagnosis.candidates import (
     make_candidates,
 )
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
+from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.linear import make_linear
@@ -77,14 +78,15 @@ def diagnose(
     effects = _effects(candidates, naming, fitted, limit)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
+    gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
     return Diagnosis(
-        verdict=_verdict(bool(mistakes.mistakes), effects),
+        verdict=_verdict(bool(mistakes.mistakes), effects, gap),
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
         hidden={family: parts for family, parts in unseen.items() if family not in in_model},
         detectable=sizes,
-        gap=measure_gap(linear, candidates, grid, naming, noise, limit, setting_rad),
+        gap=gap,
         registered=registered,
         linear=linear,
         candidates=candidates,
@@ -108,12 +110,13 @@ def _assumed(readings: Readings) -> Iterator[str]:
         yield f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"
 
 
-def _verdict(mistaken: bool, effects: tuple[NamedEffect, ...]) -> Verdict:
+def _verdict(mistaken: bool, effects: tuple[NamedEffect, ...], gap: Gap) -> Verdict:
+    """Return the first that applies; what readings held out do not confirm is named no better than a tie."""
     if mistaken:
         return "mistake"
     if any(not e.in_catalogue for e in effects):
         return "unknown"
-    if any(e.cannot_tell_from for e in effects):
+    if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
         return "confounded"
     return "named" if effects else "agrees"
 

@@ -72,6 +72,14 @@ class LinearSystem:
         """Root mean square over the settings of the length of du/dphi."""
         return float(np.sqrt(np.sum(self.slope**2) / max(self.settings, 1)))
 
+    @property
+    def g_per_signal(self) -> Floats:
+        """What turns a row into g (N,): by the scale factor of its channel, of a modulus by its derivative."""
+        of_channel = 1.0 / np.abs(np.diag(self.block.K))[np.minimum(self.rows.channel, 2)]
+        modulus = self.rows.channel == MODULUS
+        of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]
+        return of_channel
+
     def effect_column(self, applied: AppliedEffect) -> Floats:
         """Return what an effect with these values adds to the rows, shape (N,): its difference from none."""
         return self.view.rows_of(self.view.change(self.model, applied, self.block))

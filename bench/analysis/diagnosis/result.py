@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from bench.analysis.diagnosis.candidates import Candidates
-from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.known_together import KnownTogether
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
