@@ -57,7 +57,7 @@ def diagnose(
     """
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
-    mistakes = find_mistakes(readings, model, stand, nominal_scale_factors)
+    mistakes = find_mistakes(readings, model, stand_u, nominal_scale_factors)
     linear = make_linear(mistakes.corrected, model, stand)
     repeats = noise_of_repeats(linear, readings.resolution)
     grid = make_noise_grid(linear, repeats.sigma, setting_rad)
@@ -81,6 +81,7 @@ def diagnose(
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects, gap),
+        of_copy=_verdict(False, effects, gap),
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
