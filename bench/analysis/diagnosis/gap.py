@@ -30,15 +30,20 @@ BY_CHANCE: Final = 0.01
 BLIND: Final = "the rest could not have shown what was found"
 NOT_THERE: Final = "what was found does not show there"
 OWN_VALUE: Final = "what was found has a value of its own there, of which the rest says nothing"
+BLINDNESS: Final = (BLIND, NOT_THERE, OWN_VALUE)
 UNDETERMINED: Final = "the rest does not determine the coefficients"
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Measured less predicted in readings held out (n,), in the unit of the signal and in g, and its chi-square."""
+    """Measured less predicted in readings held out (n,), in the unit of the signal and in g, and its chi-square.
+
+    `expected_g` (n,) is the standard deviation that noise and all that was estimated give it.
+    """
 
     error: Floats
     error_g: Floats
+    expected_g: Floats
     chi2: float
 
     @property
@@ -161,6 +166,11 @@ class Gap:
         return rms([f.after.error_g for f in self.opened])
 
     @property
+    def expected_rms_g(self) -> float:
+        """What `after_rms_g` is expected to be when nothing is missing."""
+        return rms([f.after.expected_g for f in self.opened])
+
+    @property
     def unconfirmed(self) -> tuple[str, ...]:
         """The names that readings held out do not confirm: where the rest gave them, they gain too little."""
         return tuple(
@@ -196,7 +206,9 @@ class Gap:
             cannot = f"; without {', '.join(self.undetermined)} {UNDETERMINED}" if self.undetermined else ""
             return f"nothing can be held out: one pass, and no verification or free position{cannot}"
         if not self.opened:
-            return "no fold can measure the gap: " + "; ".join(f"{f.label}: {f.blind}" for f in self.folds)
+            why = {blind: [f.label for f in self.folds if f.blind == blind] for blind in BLINDNESS}
+            told = "; ".join(f"{', '.join(labels)}: {blind}" for blind, labels in why.items() if labels)
+            return f"nothing held out can measure the gap ({told})"
         sizes = (
             f"reduced chi-square {self.before:.2f} before, {self.after:.2f} after, root mean square "
             f"{1e6 * self.before_rms_g:.3g} µg before, {1e6 * self.after_rms_g:.3g} µg after"
@@ -226,6 +238,7 @@ class Gap:
             "after_rms": self.after_rms if opened else None,
             "before_rms_ug": 1e6 * self.before_rms_g if opened else None,
             "after_rms_ug": 1e6 * self.after_rms_g if opened else None,
+            "expected_rms_ug": 1e6 * self.expected_rms_g if opened else None,
             "noise_rms": self.noise.reading,
             "unit": self.unit,
             "held_out": [*(f.to_dict() for f in self.folds), *undetermined],

@@ -129,7 +129,7 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
 def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
     gap, after = diagnosis.gap, shown.after
     if gap.opened:
-        told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g)
+        told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
         out.print(
             f"{told[0].upper()}{told[1:]}, on readings not used: reduced chi-square {gap.before:.2f} before, "
             f"{gap.after:.2f} after (noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "

@@ -146,11 +146,14 @@ def lead(diagnosis: Diagnosis) -> str:
     return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
 
 
-def closed_in_words(part: float | None, before_g: float, after_g: float) -> str:
-    """Return the one number of a gap: "gap closed 99 %, from 412 µg to 9.0 µg"; never more than all of it."""
-    sizes = f"from {micro_g(before_g)} to {micro_g(after_g)}"
+def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g: float) -> str:
+    """Return the one number of a gap, never more than all of it.
+
+    "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"; all sizes are root mean squares.
+    """
+    sizes = f"from {micro_g(before_g)} to {micro_g(after_g)} (noise alone: {micro_g(noise_g)})"
     if part is None:
-        return f"gap {sizes}: no larger than the noise before"
+        return f"gap {sizes}, no larger than chance before"
     if part <= 0.0:
         return f"gap not closed, {sizes}"
     return f"gap closed {min(part, 1.0):.0%}, {sizes}".replace("%", "\N{NO-BREAK SPACE}%")
@@ -164,10 +167,10 @@ def micro_g(value_g: float) -> str:
 
 def gap_in_words(gap: Gap) -> str:
     """Return how far naming closes the gap on readings that were not used; nothing where none could say it."""
-    if not gap.opened:
+    if not (gap.named and gap.opened):
         return ""
-    told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g)
-    return f"{told}, on readings not used (reduced chi-square {gap.before:.2f} to {gap.after:.2f}, noise alone 1)"
+    told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
+    return f"{told}, on readings not used"
 
 
 def left_out_in_words(gap: Gap) -> Iterator[str]:

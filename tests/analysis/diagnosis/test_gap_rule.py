@@ -12,7 +12,7 @@ NOISE = NoiseSize(15e-6, 1.6e-5, 150)
 
 def held_out(reduced, rms=20e-6):
     error = np.full(ROWS, rms)
-    return HeldOut(error, error / 2.0, reduced * ROWS)
+    return HeldOut(error, error / 2.0, np.full(ROWS, 9e-6), reduced * ROWS)
 
 
 def fold(label, before, after, rms=(30e-6, 20e-6), blind="", name="bias_drift"):
@@ -33,6 +33,7 @@ def test_a_gap_that_closes_shrinks_and_says_how_far():
     told = one.to_dict()
     assert told["before_rms_ug"] == pytest.approx(15.0)
     assert told["after_rms_ug"] == pytest.approx(10.0)
+    assert told["expected_rms_ug"] == pytest.approx(9.0)
     assert told["reason"] is None
 
 
@@ -97,7 +98,7 @@ def test_where_no_fold_measures_it_the_gap_is_none_and_says_why():
     told = one.to_dict()
     assert one.shrinks is None
     assert (told["before"], told["after"], told["closed"], told["before_rms_ug"]) == (None,) * 4
-    assert told["reason"] == f"no fold can measure the gap: pass 1: {BLIND}; pass 2: {BLIND}"
+    assert told["reason"] == f"nothing held out can measure the gap (pass 1, pass 2: {BLIND})"
     assert gap().reason == "nothing can be held out: one pass, and no verification or free position"
     alone = gap(undetermined=("pass 1",)).to_dict()
     assert "without pass 1 the rest does not determine the coefficients" in alone["reason"]
