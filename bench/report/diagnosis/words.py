@@ -156,7 +156,7 @@ def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g
         return f"gap {sizes}, no larger than chance before"
     if part <= 0.0:
         return f"gap not closed, {sizes}"
-    return f"gap closed {min(part, 1.0):.0%}, {sizes}".replace("%", "\N{NO-BREAK SPACE}%")
+    return f"gap closed {min(100.0 * part, 100.0):.0f} %, {sizes}"
 
 
 def micro_g(value_g: float) -> str:
