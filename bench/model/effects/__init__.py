@@ -5,7 +5,9 @@ from typing import Final
 
 from bench.model.effects.base import AppliedEffect, Effect, Parameter, Seen, Stage, Subsystem, Values
 
-MODULES: Final = ("nonlinear", "hysteresis", "thermal", "stand", "head", "stand_motion", "voltmeter")
+MODULES: Final = (
+    "nonlinear", "hysteresis", "thermal", "stand", "head", "stand_motion", "slips", "voltmeter",
+)  # fmt: skip
 """The modules of this folder that have effects, in the order of the catalogue."""
 
 
