@@ -14,11 +14,15 @@ from bench.analysis.diagnosis import Diagnosis, ThresholdCache
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
 from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
+from bench.api.origin import SUFFIX
 from bench.api.provenance import provenance
 from bench.api.source import Source, data_sha256
 from bench.base.cache import cache_folder
 from bench.base.tables import as_text
+from bench.base.visible import visible
 from bench.base.whole import write_whole
+from bench.readings.corrected import as_read
+from bench.readings.csv import format_csv
 from bench.readings.joined import JoinedPart, together
 
 
@@ -33,6 +37,29 @@ class Body:
     def output(self, suffix: str) -> Path:
         """Return the file that is written for it."""
         return self.source.output(self.command, suffix)
+
+    def copy_files(self, full: FullDiagnosis) -> dict[Path, str]:
+        """Return the readings file of the copy with mistakes put right, and the one that tells where it comes from.
+
+        It reads, with the same bench file, to the very readings that were searched. Nothing where there was no
+        mistake.
+        """
+        mistakes = full.diagnosis.mistakes
+        if not mistakes.mistakes:
+            return {}
+        path = self.output("-corrected.csv")
+        text = format_csv(as_read(mistakes.corrected, self.source.traced.by))
+        files = {path: text}
+        if self.source.origin is not None and len(self.sha256) == 1:
+            mended = tuple(visible(mistake.words) for mistake in mistakes.mistakes)
+            origin = self.source.origin.model_copy(update={"mended": (*self.source.origin.mended, *mended)})
+            files[path.with_name(path.name + SUFFIX)] = origin.text_beside(path, text.encode())
+        return files
+
+    def sha256_with_copy(self, full: FullDiagnosis) -> tuple[str, ...]:
+        """Return the hashes of what was searched: the body's, and that of the copy with mistakes put right."""
+        copy = as_read(full.diagnosis.mistakes.corrected, self.source.traced.by)
+        return self.sha256 if not full.diagnosis.mistakes.mistakes else (*self.sha256, data_sha256(copy))
 
 
 @dataclass(frozen=True)

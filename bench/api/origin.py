@@ -57,7 +57,8 @@ class BenchOrigin(_Part):
 class Origin(_Part):
     """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well.
 
-    `serials` are the serial numbers that the instruments stated, kept where the bench has certificates.
+    `serials` are the serial numbers that the instruments stated, kept where the bench has certificates. `mended`
+    are the mistakes that are put right in these readings, which are a copy of what was recorded then.
     """
 
     simulated: bool
@@ -71,10 +72,12 @@ class Origin(_Part):
     instruments: dict[_Text, _Text]
     measured_with: dict[_Text, _Text]
     serials: dict[_Text, _Text] = {}
+    mended: tuple[_Text, ...] = ()
 
     def text_beside(self, readings: Path, content: bytes) -> str:
         """Return the text of the file that stands beside a readings file of this content."""
-        own = self.model_dump(mode="json", exclude={"sha256"} if self.serials else {"sha256", "serials"})
+        empty = {name for name in ("serials", "mended") if not getattr(self, name)}
+        own = self.model_dump(mode="json", exclude={"sha256", *empty})
         try:
             here = os.path.relpath(self.bench.copied_to, readings.absolute().parent)
         except ValueError:  # on another drive
@@ -145,7 +148,8 @@ def origin_beside(readings: Path) -> Told:
         return Told() if b'"sha256"' not in content else Told(notes=(f"{file.name} {_UNREADABLE}",))
     if about.sha256 != sha256(readings.read_bytes()):
         return Told(notes=(_mismatch(readings.name, file.name, about),))
-    return Told(about)
+    mended = "; ".join(about.mended)
+    return Told(about, (f"a copy of {about.run} with mistakes put right: {mended}",) if mended else ())
 
 
 def is_told(file: Path) -> bool:

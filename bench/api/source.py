@@ -166,6 +166,8 @@ def _load(given: Given, request: Request) -> Source:
     taken, notes = bench_of(given if isinstance(given, str) else "", run, told, request.bench)
     bench, other_unit = _of_unit(taken.file, told.origin)
     notes += other_unit
+    if told.origin is not None:
+        notes += told.notes
     readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
     gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
     if gravity is None:

@@ -12,10 +12,11 @@ from bench.api.taken import BenchTaken
 from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm
 from bench.files.bench.file import BenchFile
 from bench.files.bench.traceability import Standing, corrections_of, standings, without
-from bench.readings.corrected import VOLTS, corrected
+from bench.readings.corrected import VOLTS, Corrections, corrected
 from bench.readings.table import Readings
 from drivers.clock import utc_now
 
+NO_CORRECTIONS: Final = Corrections()
 _OTHER: Final = "another instrument answered"
 _NOTHING: Final = "it states no correction"
 
@@ -24,12 +25,14 @@ _NOTHING: Final = "it states no correction"
 class Traced:
     """The certificates of a bench with readings of a day, each with why nothing is corrected, empty where it is.
 
-    `recorded` is whether a run recorded the readings: else they are taken for what the instruments showed.
+    `recorded` is whether a run recorded the readings: else they are taken for what the instruments showed. `by` is
+    what was added to them.
     """
 
     day: datetime.date
     entries: tuple[tuple[Standing, str], ...] = ()
     recorded: bool = False
+    by: Corrections = NO_CORRECTIONS
 
     def notes(self) -> Iterator[str]:
         """Yield what a reader of a result must know of the certificates, a sentence each."""
@@ -79,8 +82,8 @@ def trace(
     entries = tuple((standing, _why_not(standing, taken, readings, origin)) for standing in found)
     applied = without(bench, {standing.instrument for standing, why_not in entries if why_not})
     counted = without(bench, {standing.instrument for standing in found if standing.foreign})
-    traced = Traced(day, entries, recorded=origin is not None)
-    return counted, corrected(readings, corrections_of(applied)), traced
+    by = corrections_of(applied)
+    return counted, corrected(readings, by), Traced(day, entries, origin is not None, by)
 
 
 def remarks(bench: BenchFile, serials: Mapping[str, str] | None = None) -> list[str]:

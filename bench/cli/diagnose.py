@@ -157,7 +157,8 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     from bench.api.diagnosis import diagnosis_of
 
     full = diagnosis_of(body.source)
-    if full.diagnosis.verdict in ({"named", "confounded"} if accept_first else {"named"}):
+    full = replace(full, copy=_written_copy(body, full))
+    if full.diagnosis.of_copy in ({"named", "confounded"} if accept_first else {"named"}):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:
         try:
@@ -166,6 +167,21 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
         except OSError as error:
             _not_written(body, "the next procedure", error)
     return replace(full, report=_written_report(body, full)) if report else full
+
+
+def _written_copy(body: Body, full: FullDiagnosis) -> Path | None:
+    """Write the readings with mistakes put right; None where there was none or it cannot be written."""
+    from bench.base.whole import write_whole
+
+    files = body.copy_files(full)
+    try:
+        for path, text in files.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, text)
+    except OSError as error:
+        _not_written(body, "the corrected copy of the readings", error)
+        return None
+    return next(iter(files), None)
 
 
 def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
@@ -187,7 +203,7 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
                 after.model.name,
                 (*after.effects[: len(source.model.effects)], *full.diagnosis.applied),
                 parent=source.model.name,
-                data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256))),
+                data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256_with_copy(full)))),
                 evidence=evidence_in_words(full),
             )
         except FileMistakes:  # it was free a moment ago, and another program has it now

@@ -18,6 +18,8 @@ Curve = tuple[tuple[float, float], ...]
 """Where corrections are known, rising, and the correction there; straight between."""
 
 VOLTS: Final = "V"
+AGAIN: Final = 4
+"""A correction changes little within itself: so many rounds find from what value it was."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,32 @@ def corrected(readings: Readings, by: Corrections) -> Readings:
         temperature_c=temperature_c,
         corrected=True,
         resolution_read=readings.resolution,
+    )
+
+
+def as_read(readings: Readings, by: Corrections) -> Readings:
+    """Return what the instruments showed: that which is `readings` once these corrections are added."""
+    if not readings.corrected or not by:
+        return readings
+    signal, signal_sd = readings.signal, readings.signal_sd
+    if by.of_signals and readings.unit == VOLTS:
+        scale = 1.0 + np.array(by.gain)
+        signal, signal_sd = (signal - np.array(by.offset_v)) / scale, signal_sd / scale
+    angle_rad, temperature_c = readings.angle_rad, readings.temperature_c
+    for _ in range(AGAIN if by.head else 0):
+        angle_rad = readings.angle_rad - on_scale(by.head, angle_rad)
+    if by.thermometer:
+        known_c, added_k = np.array(by.thermometer).T
+        for _ in range(AGAIN):
+            temperature_c = readings.temperature_c - np.interp(temperature_c, known_c, added_k)
+    return replace(
+        readings,
+        signal=signal,
+        signal_sd=signal_sd,
+        angle_rad=angle_rad,
+        temperature_c=temperature_c,
+        corrected=False,
+        resolution_read=None,
     )
 
 

@@ -190,6 +190,46 @@ def test_a_mistake_is_put_right_in_a_copy_alone(bench):
 
 
 @pytest.mark.slow
+def test_the_search_goes_on_in_the_copy_and_its_model_says_on_which_correction_it_rests(bench):
+    right = paper_run(np.random.default_rng(4), directions=BOTH_WAYS, K2=(0, 150e-6, 0))
+    signal = right.signal.copy()
+    signal[20, 0] += 2e-3
+    write_csv(replace(right, signal=signal), Path("both.csv"))
+    assert bench("diagnose", "both.csv", "--no-report", "--json", "d.json")[0] == 0
+    found = result_of("d.json")
+    assert (found["verdict"], found["corrected"]["verdict"]) == ("mistake", "named")
+    assert [e["name"] for e in found["effects"]] == ["outlier", "quadratic_nonlinearity"]
+    copy, model = found["corrected"]["readings"], load_model(Path(found["model"]))
+    assert (copy, found["corrected"]["used"]) == (str(Path("diagnose/both-corrected.csv")), len(right) - 1)
+    assert copy in model.evidence["rests on"]
+    assert found["effects"][0]["words"] in model.evidence["rests on"]
+    # the copy is a readings file like any other: the same is found in it, and the model has seen it
+    assert bench("diagnose", copy, "--no-report", "--json", "e.json")[0] == 0
+    again = result_of("e.json")
+    assert (again["verdict"], again["corrected"]) == ("named", None)
+    assert again["effects"][0]["parameters"] == found["effects"][1]["parameters"]
+    assert "estimated anew" in bench("calibrate", copy, "--model", found["model"])[1]
+
+
+@pytest.mark.slow
+def test_the_copy_of_a_run_tells_where_it_comes_from(bench):
+    assert bench("run", "calibration", "--dry-run", "--name", "a", "--seed", 5)[0] == 0
+    assert bench("export", "a", "--csv", "a.csv")[0] == 0
+    text = Path("a.csv").read_text(encoding="utf-8").splitlines()
+    cells = text[21].split(",")
+    ux = text[0].split(",").index("ux_v")
+    cells[ux] = str(float(cells[ux]) + 2e-3)
+    Path("a.csv").write_text("\n".join([*text[:21], ",".join(cells), *text[22:]]), encoding="utf-8")
+    assert bench("import", "a.csv", "--name", "b")[0] == 0
+    assert bench("diagnose", "b", "--no-report", "--json", "d.json")[0] == 0
+    copy = result_of("d.json")["corrected"]["readings"]
+    assert copy == str(Path("runs/b/diagnose-corrected.csv"))
+    status, out, _ = bench("calibrate", copy, "--json", "c.json")
+    assert status == 0
+    assert "mistakes put right: installation" in out
+
+
+@pytest.mark.slow
 def test_json_alone_goes_to_standard_output(bench):
     status, out, _ = bench("diagnose", measured("null.csv", 3), "--no-report", "--json", "-")
     assert (status, json.loads(out, parse_constant=refuse)["verdict"]) == (0, "agrees")

@@ -86,8 +86,8 @@ class Set:
     whitened: Whitened
 
 
-def set_up(readings: Readings, sigma: float = NOISE_V) -> Set:
+def set_up(readings: Readings, model: ForwardModel = MODEL, sigma: float = NOISE_V) -> Set:
     """Make readings linear, with all candidates, in units of the noise."""
-    linear = make_linear(readings, MODEL, STAND_U)
+    linear = make_linear(readings, model, STAND_U)
     candidates = make_candidates(linear, sigma)
     return Set(linear, candidates, Whitened.of(make_noise_grid(linear, sigma, SETTING_U_RAD), candidates))

@@ -135,7 +135,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
     if not fit.noise.setting_rad > 0:
         start[len(basic) - 1] = 0.0
     base = len(basic)
-    chance = asked_for(Projection.at(mixed, start), mixed.Z[base:], mixed.Z[:base])
+    chance = asked_for(Projection.at(mixed, start), mixed.columns, base)
     kept = np.concatenate([np.ones(base, dtype=bool), chance < ASKED_P])
     if not np.any(kept[base:]):
         return Shared(fit)
@@ -277,7 +277,7 @@ def _shared(
     base: int, unit: str,
 ) -> Shared:  # fmt: skip
     used = theta > 0
-    information = at.information([z for z, u in zip(mixed.Z, used, strict=True) if u])
+    information = at.moments(mixed.only(used).columns)[2]
     spread = np.linalg.pinv(information * np.outer(theta[used], theta[used]), rcond=1e-10)
     dof = np.full(len(theta), np.inf)
     dof[used] = 2.0 / np.maximum(np.diag(spread), 1e-12)

@@ -119,13 +119,13 @@ def fit(
             sizes = repeats.sizes(system.left, system.slope) or estimate_noise(
                 problem, system, groups, others, floor
             )
-        found, covariance, gain = solve(problem, system, sizes.widened(), others)
+        own = solve(problem, system, sizes.widened(), others)
         step = np.zeros(FIXED + len(others))
-        step[places.unknowns] = found[places.own]
+        step[places.unknowns] = own.step[places.own]
         block = Block.from_vector(block.vector + step[:FIXED])
         others = others + step[FIXED:]
         # a shift enters no derivative, so it has no part in whether the point stands still
-        moved = float(np.max(np.abs(found[places.own]) / np.sqrt(np.diag(covariance)[places.own])))
+        moved = float(np.max(np.abs(own.step[places.own]) / np.sqrt(np.diag(own.covariance)[places.own])))
         if moved <= STANDS_STILL:
             break
     else:
@@ -134,7 +134,8 @@ def fit(
                 "the fit does not come to rest: readings and model are too far apart for it; look for rows of "
                 "another installation, another block or another unit"
             )
-    return _result(problem, system, block, others, sizes, places, found, covariance, gain, shifts)
+    gain = own.gain(system, sizes.widened())
+    return _result(problem, system, block, others, sizes, places, own.step, own.covariance, gain, shifts)
 
 
 @dataclass(frozen=True)
@@ -217,17 +218,9 @@ def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
     step = np.zeros(FIXED + len(others))
     step[places.unknowns] = found[places.own]
     block = Block.from_vector(fit.block.vector + step[:FIXED])
+    further = others + step[FIXED:]
     return _result(
-        problem,
-        system,
-        block,
-        others + step[FIXED:],
-        noise,
-        places,
-        found,
-        inverse @ inverse.T,
-        gain,
-        fit.shifts,
+        problem, system, block, further, noise, places, found, inverse @ inverse.T, gain, fit.shifts
     )
 
 
@@ -307,19 +300,34 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
     return noise_from_residuals(whole, scaled, slope, fixed, floor, own / alike[:, None])
 
 
-def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> tuple[Floats, Floats, Floats]:
-    """One step: the change of the unknowns, their covariance, and the gain from rows to unknowns, (p, 3n + m)."""
-    n, _, p = system.jacobian.shape
+@dataclass(frozen=True)
+class Solution:
+    """One step of the fit: the change of the unknowns (p,), their covariance (p, p), and what its gain is made of.
+
+    `inverse` (p, p) and `q` (3n + m + priors, p): the unknowns are inverse q^T times the whitened rows.
+    """
+
+    step: Floats
+    covariance: Floats
+    inverse: Floats
+    q: Floats
+
+    def gain(self, system: System, noise: Noise) -> Floats:
+        """Return the linear map from rows to unknowns, (p, 3n + m)."""
+        n, _, p = system.jacobian.shape
+        whitened = (self.inverse @ self.q[: 3 * n].T).reshape(p, n, 3)
+        gain = np.moveaxis(whiten_back(np.moveaxis(whitened, 0, 2), system.slope, noise), 2, 0)
+        m = len(system.free.left)
+        of_free = self.inverse @ self.q[3 * n : 3 * n + m].T / system.free.noise(noise)
+        return np.concatenate([gain.reshape(p, 3 * n), of_free], axis=1)
+
+
+def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
+    """Take one step of the fit, for noise of these sizes."""
     rows, target, scale = whitened_rows(problem, system, noise, others)
     q, r = np.linalg.qr(rows)
-    inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
-    covariance = inverse @ inverse.T
-    step = inverse @ (q.T @ target)
-    whitened_gain = (inverse @ q[: 3 * n].T).reshape(p, n, 3)
-    gain = np.moveaxis(whiten_back(np.moveaxis(whitened_gain, 0, 2), system.slope, noise), 2, 0)
-    m = len(system.free.left)
-    of_free = inverse @ q[3 * n : 3 * n + m].T / system.free.noise(noise)
-    return step, covariance, np.concatenate([gain.reshape(p, 3 * n), of_free], axis=1)
+    inverse = np.linalg.solve(r, np.eye(len(r))) * scale[:, None]
+    return Solution(inverse @ (q.T @ target), inverse @ inverse.T, inverse, q)
 
 
 def whitened_rows(

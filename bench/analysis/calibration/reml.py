@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy import linalg, special
+from scipy import linalg, sparse, special
 
-from bench.base.arrays import Floats, Mask
+from bench.base.arrays import Floats, Ints, Mask
 
 ROUNDS: Final = 40
 AT_REST: Final = 3e-3
@@ -24,6 +25,30 @@ AT_REST: Final = 3e-3
 MOST_CHANGE: Final = 4.0
 LEAST: Final = 1e-6
 """Least variance of a component, as a part of its scale: there it is as good as none."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Components side by side: `whole` (N, q), few entries in a column; `starts` (k,) says where each begins."""
+
+    whole: sparse.csc_array
+    starts: Ints
+
+    @classmethod
+    def of(cls, Z: Sequence[Floats]) -> Columns:
+        """Take dense components of (N, q_k)."""
+        widths = [z.shape[1] for z in Z]
+        return cls(sparse.csc_array(np.concatenate(list(Z), axis=1)), np.cumsum([0, *widths[:-1]]))
+
+    def sums(self, by_column: Floats) -> Floats:
+        """Return the sums over the columns of each component of (..., q), shape (..., k)."""
+        return np.asarray(np.add.reduceat(by_column, self.starts, axis=-1))
+
+    def sized(self, sizes: Floats) -> sparse.csc_array:
+        """Return the columns times the size of their component (k,), without those of size zero."""
+        by_column = np.repeat(sizes, np.diff([*self.starts, self.whole.shape[1]]))
+        kept = np.flatnonzero(by_column)
+        return sparse.csc_array(self.whole[:, kept] @ sparse.diags_array(by_column[kept]))
 
 
 @dataclass(frozen=True)
@@ -35,13 +60,15 @@ class Mixed:
     Z: tuple[Floats, ...]
     known: Floats
 
+    @cached_property
+    def columns(self) -> Columns:
+        """All components side by side."""
+        return Columns.of(self.Z)
+
     def covariance(self, theta: Floats) -> Floats:
         """Return V (N, N) for variances (k,)."""
-        whole = self.known.copy()
-        for size, columns in zip(theta.tolist(), self.Z, strict=True):
-            if size:
-                whole += size * (columns @ columns.T)
-        return whole
+        sized = self.columns.sized(np.sqrt(theta))
+        return np.asarray(self.known + (sized @ sized.T).toarray())
 
     def only(self, kept: Mask) -> Mixed:
         """Return the same with some of the components, (k,) true."""
@@ -58,31 +85,37 @@ class Projection:
     @classmethod
     def at(cls, mixed: Mixed, theta: Floats) -> Projection:
         """Return that for variances (k,). Raises `numpy.linalg.LinAlgError` where V is singular."""
-        factor = linalg.cho_factor(mixed.covariance(theta), lower=True, check_finite=False)
-        inverse = linalg.cho_solve(factor, np.eye(len(mixed.y)), check_finite=False)
-        q, _ = np.linalg.qr(linalg.solve_triangular(factor[0], mixed.X, lower=True, check_finite=False))
-        back = linalg.solve_triangular(factor[0], q, lower=True, trans="T", check_finite=False)
+        lower = linalg.cholesky(mixed.covariance(theta), lower=True, check_finite=False)
+        half, _ = linalg.lapack.dpotri(lower, lower=1)
+        inverse = np.tril(half) + np.tril(half, -1).T
+        q, _ = np.linalg.qr(linalg.solve_triangular(lower, mixed.X, lower=True, check_finite=False))
+        back = linalg.solve_triangular(lower, q, lower=True, trans="T", check_finite=False)
         P = inverse - back @ back.T
         return cls(P, P @ mixed.y)
 
-    def scores(self, Z: Sequence[Floats]) -> Floats:
+    def scores(self, Z: Columns) -> Floats:
         """Return the slope of ln L by each variance, shape (k,)."""
-        squares = [float(np.sum((z.T @ self.Py) ** 2)) for z in Z]
-        traces = [float(np.einsum("ij,ij->", self.P @ z, z)) for z in Z]
-        return np.asarray(0.5 * (np.array(squares) - np.array(traces)))
+        traces = Z.sums(np.asarray(Z.whole.multiply(self.P @ Z.whole).sum(axis=0)).ravel())
+        return np.asarray(0.5 * (self._squares(Z) - traces))
 
-    def average_information(self, Z: Sequence[Floats]) -> Floats:
+    def _squares(self, Z: Columns) -> Floats:
+        return Z.sums((Z.whole.T @ self.Py) ** 2)
+
+    def moments(self, Z: Columns) -> tuple[Floats, Floats, Floats]:
+        """Return the slopes of ln L (k,), tr(P V_k) (k,) and the information 1/2 tr(P V_k P V_l) (k, k)."""
+        crossed = Z.whole.T @ (self.P @ Z.whole)
+        traces = Z.sums(np.diag(crossed))
+        information = 0.5 * Z.sums(Z.sums(crossed**2).T)
+        return 0.5 * (self._squares(Z) - traces), traces, np.asarray(information)
+
+    def average_information(self, Z: Columns) -> Floats:
         """Return 1/2 y^T P V_k P V_l P y, shape (k, k)."""
-        moved = np.stack([z @ (z.T @ self.Py) for z in Z], axis=1)
+        by_column = Z.whole.T @ self.Py
+        ends = [*Z.starts[1:], len(by_column)]
+        moved = np.stack(
+            [Z.whole[:, i:j] @ by_column[i:j] for i, j in zip(Z.starts, ends, strict=True)], axis=1
+        )
         return np.asarray(0.5 * moved.T @ self.P @ moved)
-
-    def information(self, Z: Sequence[Floats]) -> Floats:
-        """Return the expected information 1/2 tr(P V_k P V_l), shape (k, k)."""
-        ends = np.cumsum([0, *(z.shape[1] for z in Z)])
-        whole = np.concatenate(list(Z), axis=1)
-        squares = (whole.T @ self.P @ whole) ** 2
-        rows = np.add.reduceat(squares, ends[:-1], axis=0)
-        return np.asarray(0.5 * np.add.reduceat(rows, ends[:-1], axis=1))
 
 
 def maximise(
@@ -98,8 +131,8 @@ def maximise(
     theta = np.maximum(start, least)
     for _ in range(ROUNDS):
         at = Projection.at(mixed, theta)
-        slope = at.scores(mixed.Z) * theta
-        curvature = at.average_information(mixed.Z) * np.outer(theta, theta)
+        slope = at.scores(mixed.columns) * theta
+        curvature = at.average_information(mixed.columns) * np.outer(theta, theta)
         free = (theta > least) | (slope > 0)
         step = np.zeros(len(theta))
         own = curvature[np.ix_(free, free)]
@@ -114,24 +147,24 @@ def maximise(
     return theta, Projection.at(mixed, theta)
 
 
-def asked_for(at: Projection, Z: Sequence[Floats], inside: Sequence[Floats]) -> Floats:
-    """Return, for components that are not yet in, the probability of such a score where there is none, shape (k,).
+def asked_for(at: Projection, Z: Columns, inside: int) -> Floats:
+    """Return, for components that are not yet in, the probability of such a score where there is none.
 
-    `inside` are the components whose variances are being estimated: what they take is taken off the information. A
-    score is a quadratic form, taken as a chi-square with the degrees of freedom that its mean and variance give
+    The first `inside` components are those whose variances are being estimated: what they take is taken off the
+    score and the information, for their estimates come from the repeats alone and are not those of the greatest
+    likelihood (the C(alpha) test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213).
+    A score is a quadratic form, taken as a chi-square with the degrees of freedom that its mean and variance give
     (Satterthwaite, Biometrics Bull. 2 (1946) 110): of few degrees, as a drift has, large ones are not rare.
     """
-    score = at.scores(Z)
-    whole = at.information([*Z, *inside])
-    k = len(Z)
-    across = whole[:k, k:]
-    scale = np.sqrt(np.diag(whole)[k:])
-    inner = whole[k:, k:] / np.outer(scale, scale)
-    taken = np.einsum("ki,ij,kj->k", across / scale, np.linalg.pinv(inner, rcond=1e-8), across / scale)
-    own = np.diag(whole)[:k]
+    scores, traces, whole = at.moments(Z)
+    scale = np.sqrt(np.diag(whole)[:inside])
+    across = whole[inside:, :inside] / scale
+    through = across @ np.linalg.pinv(whole[:inside, :inside] / np.outer(scale, scale), rcond=1e-8)
+    score = scores[inside:] - through @ (scores[:inside] / scale)
+    taken = np.sum(through * across, axis=1)
+    own = np.diag(whole)[inside:]
     left = own - taken
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
-    traces = np.array([float(np.einsum("ij,ij->", at.P @ z, z)) for z in Z])
-    freedom = traces**2 / (2.0 * own)
+    freedom = traces[inside:] ** 2 / (2.0 * own)
     return np.asarray(special.chdtrc(freedom, np.maximum(freedom + size * np.sqrt(2.0 * freedom), 0.0)))

@@ -1,8 +1,10 @@
 """The restricted likelihood of repeats of readings, maximised for many runs at once.
 
 Deviations of repeats from the mean of their group have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T each
-group. Fisher scoring: information 1/2 tr(R^-1 R_k R^-1 R_l), score 1/2 tr(R^-1 R_k R^-1 (S - f R)).
-Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5.
+group. Fisher scoring: information 1/2 tr(R^-1 R_k R^-1 R_l), score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
+closed form (Sherman and Morrison). Whether the channels have one size is asked by the score where they have.
+Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc.
+44 (1948) 50.
 """
 
 from __future__ import annotations
@@ -36,21 +38,27 @@ MOST_CHANGE: Final = 4.0
 
 
 def sizes_of(
-    scatter: Floats, freedom: Ints, slope: Floats, floor: float | Floats, by: Floats = OWN
+    scatter: Floats,
+    freedom: Ints,
+    slope: Floats,
+    floor: float | Floats,
+    by: Floats = OWN,
+    start: Floats | None = None,
 ) -> Floats:
     """Return the variances of x, y, z (unit^2) and of the setting (rad^2) of many runs, shape (runs, 4).
 
     `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,), `slope`
     (runs, groups, 3) du/dphi, unit/rad; `floor` (runs,) or one number the least noise believed; `by` one of
-    `OWN`, `COMMON`. A run without any slope has a setting error of zero.
+    `OWN`, `COMMON`; `start` (runs, 4) where to begin. A run without any slope has a setting error of zero.
     """
     weight = freedom.astype(np.float64)
-    total = float(weight.sum())
-    slope2 = np.einsum("rgi,rgi,g->r", slope, slope, weight) / total
+    slope2 = _mean_slope2(slope, weight)
     least = np.broadcast_to(np.square(floor), slope2.shape)
-    own = np.maximum(np.einsum("rgii->ri", scatter) / total, least[:, None])
-    start = np.concatenate([own, _shown(own.mean(axis=1) / 3, slope2)[:, None]], axis=1)
-    theta = start @ np.linalg.pinv(by).T
+    if start is None:
+        own = np.maximum(np.einsum("rgii->ri", scatter) / weight.sum(), least[:, None])
+        start = np.concatenate([own, _shown(own.mean(axis=1) / 3, slope2)[:, None]], axis=1)
+    # the mean of what a parameter stands for
+    theta = start @ (by / by.sum(axis=0))
     bottom = np.repeat(least[:, None], theta.shape[1], axis=1)
     open_rows = np.arange(len(theta))
     for _ in range(ROUNDS):
@@ -64,13 +72,6 @@ def sizes_of(
     found: Floats = theta @ by.T
     found[slope2 <= 0.0, 3] = 0.0
     return found
-
-
-def minus_two_log(scatter: Floats, freedom: Ints, slope: Floats, variances: Floats) -> Floats:
-    """Return -2 log L of runs (runs,) for variances (runs, 4); the other arrays as in `sizes_of`."""
-    covariance = _covariance(variances, slope)
-    misfit = np.einsum("rgij,rgji->r", np.linalg.inv(covariance), scatter)
-    return np.asarray(np.linalg.slogdet(covariance)[1] @ freedom.astype(np.float64) + misfit)
 
 
 @dataclass(frozen=True)
@@ -98,16 +99,37 @@ def believed_sizes(
 
     They are of one size where that is asked for, and where all that is left is the last digit of the replies.
     """
-    alike = sizes_of(scatter, freedom, slope, floor, COMMON)
-    own = sizes_of(scatter, freedom, slope, floor, OWN)
-    gained = minus_two_log(scatter, freedom, slope, alike) - minus_two_log(scatter, freedom, slope, own)
-    p = special.chdtrc(2, np.maximum(gained, 0.0))
-    p = np.where(one_size | (alike[:, 0] <= DIGITS * np.square(floor)), 1.0, p)
-    equal = (p >= EQUAL_P)[:, None]
-    variances = np.where(equal, alike, own)
+    variances = sizes_of(scatter, freedom, slope, floor, COMMON)
+    count = len(variances)
     # two of three signals tell of a common size, the third of the setting
-    dof = np.where(equal, 2.0 * float(freedom.sum()), freedom_of(freedom, slope, variances))
+    dof = np.full((count, 3), 2.0 * float(freedom.sum()))
+    if one_size:
+        return Sizes(variances, dof, np.ones(count))
+    p = equality(scatter, freedom, slope, variances)
+    p = np.where(variances[:, 0] <= DIGITS * np.square(floor), 1.0, p)
+    own = np.flatnonzero(p < EQUAL_P)
+    if len(own):
+        at_least = np.broadcast_to(floor, (count,))[own]
+        variances[own] = sizes_of(scatter[own], freedom, slope[own], at_least, OWN, variances[own])
+        dof[own] = freedom_of(freedom, slope[own], variances[own])
     return Sizes(variances, dof, p)
+
+
+def equality(scatter: Floats, freedom: Ints, slope: Floats, common: Floats) -> Floats:
+    """Return the probability of such a difference between the channels where all are of one size, shape (runs,).
+
+    Rao's score test at the sizes `common` (runs, 4), the greatest likelihood with one size; the setting takes no
+    part where it is at its lower end.
+    """
+    score, information = _score_and_information(scatter, freedom.astype(np.float64), slope, common)
+    score, information = score * common, information * common[:, :, None] * common[:, None, :]
+    held = score[:, 3] < -1e-3 * information[:, 0, 0]
+    held |= ~(information[:, 3, 3] > 0.0)
+    score[held, 3] = information[held, 3, :3] = information[held, :3, 3] = 0.0
+    information[held, 3, 3] = 1.0
+    # score and information are twice those of ln L
+    misfit = 0.5 * np.einsum("ri,ri->r", score, np.linalg.solve(information, score[:, :, None])[:, :, 0])
+    return np.asarray(special.chdtrc(2, np.maximum(misfit, 0.0)))
 
 
 def freedom_of(freedom: Ints, slope: Floats, variances: Floats) -> Floats:
@@ -115,8 +137,7 @@ def freedom_of(freedom: Ints, slope: Floats, variances: Floats) -> Floats:
 
     2 v^2/var(v) with var(v) from the information on all four: what the setting error takes is left out.
     """
-    inverse: Floats = np.linalg.inv(_covariance(variances, slope)).astype(np.float64)
-    information = _information(inverse, slope, freedom.astype(np.float64))
+    information = _information(_Inverse.of(variances, slope), freedom.astype(np.float64))
     scaled = information * variances[:, :, None] * variances[:, None, :]
     places = np.arange(4)
     # what no slope shows, or lies at its lower end, takes nothing from the others
@@ -125,15 +146,72 @@ def freedom_of(freedom: Ints, slope: Floats, variances: Floats) -> Floats:
     return np.asarray(1.0 / np.einsum("rii->ri", inverted)[:, :3])
 
 
-def _information(inverse: Floats, slope: Floats, weight: Floats) -> Floats:
+@dataclass(frozen=True)
+class _Inverse:
+    """R^-1 of each group: diag(`own`) less `part` times w w^T, w = `by_own` = diag(own) d.
+
+    `own` (runs, 1, 3), `by_own` (runs, groups, 3), `part` (runs, groups); `by_slope` is R^-1 d, `along` d^T R^-1 d.
+    """
+
+    own: Floats
+    by_own: Floats
+    part: Floats
+    by_slope: Floats
+    along: Floats
+
+    @classmethod
+    def of(cls, variances: Floats, slope: Floats) -> _Inverse:
+        own = 1.0 / variances[:, None, :3]
+        by_own = own * slope
+        alone = np.einsum("rgi,rgi->rg", slope, by_own)
+        shrink = 1.0 / (1.0 + variances[:, 3:] * alone)
+        return cls(own, by_own, variances[:, 3:] * shrink, by_own * shrink[:, :, None], alone * shrink)
+
+    def times(self, columns: Floats) -> Floats:
+        """Return R^-1 times columns (runs, groups, 3, q)."""
+        across = self.by_own[:, :, None, :] @ columns * self.part[:, :, None, None]
+        return np.asarray(self.own[..., None] * columns - self.by_own[..., None] * across)
+
+    @property
+    def diagonal(self) -> Floats:
+        """The diagonal (runs, groups, 3)."""
+        return np.asarray(self.own - self.part[:, :, None] * self.by_own**2)
+
+
+def _information(inverse: _Inverse, weight: Floats) -> Floats:
     """Return tr(R^-1 R_k R^-1 R_l) summed over groups, shape (runs, 4, 4): twice the information."""
-    by_slope = np.einsum("rgij,rgj->rgi", inverse, slope)
-    along = np.einsum("rgi,rgi->rg", slope, by_slope)
-    information = np.empty((len(inverse), 4, 4))
-    information[:, :3, :3] = np.einsum("rgij,g->rij", inverse**2, weight)
-    information[:, :3, 3] = information[:, 3, :3] = np.einsum("rgi,g->ri", by_slope**2, weight)
-    information[:, 3, 3] = along**2 @ weight
+    runs = len(inverse.along)
+    weighed = inverse.part[:, :, None] * inverse.by_own**2
+    information = np.empty((runs, 4, 4))
+    # the squares of the elements of own - part w w^T
+    information[:, :3, :3] = (weighed * weight[:, None]).transpose(0, 2, 1) @ weighed
+    places = np.arange(3)
+    information[:, places, places] += weight.sum() * inverse.own[:, 0] ** 2 - 2.0 * inverse.own[:, 0] * (
+        weight @ weighed
+    )
+    information[:, :3, 3] = information[:, 3, :3] = weight @ inverse.by_slope**2
+    information[:, 3, 3] = inverse.along**2 @ weight
     return information
+
+
+def _score_and_information(
+    scatter: Floats, weight: Floats, slope: Floats, variances: Floats
+) -> tuple[Floats, Floats]:
+    """Return twice the slope of ln L by the four variances (runs, 4), and twice the information (runs, 4, 4)."""
+    inverse = _Inverse.of(variances, slope)
+    by_scatter = inverse.times(scatter)
+    # the diagonal of R^-1 S R^-1, of which R^-1 S has the columns
+    crossed = np.einsum("rgij,rgj->rgi", by_scatter, inverse.by_own) * inverse.part[:, :, None]
+    both = np.einsum("rgii->rgi", by_scatter) * inverse.own - crossed * inverse.by_own
+    score = np.empty((len(variances), 4))
+    score[:, :3] = both.sum(axis=1) - weight @ inverse.diagonal
+    shown = np.einsum("rgi,rgij,rgj->rg", inverse.by_slope, scatter, inverse.by_slope)
+    score[:, 3] = shown.sum(axis=1) - inverse.along @ weight
+    return score, _information(inverse, weight)
+
+
+def _mean_slope2(slope: Floats, weight: Floats) -> Floats:
+    return np.asarray(np.einsum("rgi,rgi->rg", slope, slope) @ weight / weight.sum())
 
 
 def _shown(variance: Floats, slope2: Floats) -> Floats:
@@ -141,24 +219,13 @@ def _shown(variance: Floats, slope2: Floats) -> Floats:
     return np.where(slope2 > 0.0, variance / np.where(slope2 > 0.0, slope2, 1.0), 1.0)
 
 
-def _covariance(variances: Floats, slope: Floats) -> Floats:
-    along = variances[:, None, 3, None, None] * slope[..., :, None] * slope[..., None, :]
-    own = variances[:, None, :3, None] * np.eye(3)
-    return np.asarray(along + own)
-
-
 def _step(
     scatter: Floats, weight: Floats, slope: Floats, theta: Floats, bottom: Floats, by: Floats
 ) -> Floats:
-    variances = theta @ by.T
-    inverse: Floats = np.linalg.inv(_covariance(variances, slope)).astype(np.float64)
-    excess = inverse @ (scatter - weight[:, None, None] * _covariance(variances, slope)) @ inverse
-    score, information = np.empty_like(variances), _information(inverse, slope, weight)
-    score[:, :3] = np.einsum("rgii->ri", excess)
-    score[:, 3] = np.einsum("rgi,rgij,rgj->r", slope, excess, slope)
+    score, information = _score_and_information(scatter, weight, slope, theta @ by.T)
     # relative steps: variances of volts and of angles are many orders apart
-    slopes = np.einsum("ri,ik->rk", score, by) * theta
-    curvature = np.einsum("ik,rij,jl->rkl", by, information, by) * theta[:, :, None] * theta[:, None, :]
+    slopes = score @ by * theta
+    curvature = by.T @ information @ by * theta[:, :, None] * theta[:, None, :]
     held = (theta <= bottom) & (slopes <= 0.0)
     free = ~held
     curvature *= free[:, :, None] & free[:, None, :]

@@ -57,7 +57,7 @@ def diagnose(
     """
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
-    mistakes = find_mistakes(readings, model, stand, nominal_scale_factors)
+    mistakes = find_mistakes(readings, model, stand_u, nominal_scale_factors)
     looked, naming = look(
         mistakes.corrected, model, stand, setting_rad, cache or ThresholdCache(None), readings.resolution
     )
@@ -77,6 +77,7 @@ def diagnose(
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope)
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects, findings),
+        of_copy=_verdict(False, effects, findings),
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,

@@ -53,7 +53,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The candidates' columns in units of the noise: `columns` (ratios, nu, P), their Gram matrix."""
+    """The candidates' columns in units of the noise: `columns` (ratios, N, P), their Gram matrix."""
 
     grid: NoiseGrid
     candidates: Candidates
@@ -63,12 +63,12 @@ class Whitened:
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
         """Whiten the columns of all candidates."""
-        columns = grid.white @ (candidates.columns / grid.sigma)
+        columns = np.stack([white @ (candidates.columns / grid.sigma) for white in grid.white])
         return cls(grid, candidates, columns, np.swapaxes(columns, 1, 2) @ columns)
 
     def reduce(self, response: Floats) -> Data:
         """Return what is needed of responses (N, sets)."""
-        r = self.grid.white @ (response / self.grid.sigma)
+        r = np.stack([white @ (response / self.grid.sigma) for white in self.grid.white])
         return Data(np.einsum("grs,grs->gs", r, r), np.swapaxes(self.columns, 1, 2) @ r)
 
 

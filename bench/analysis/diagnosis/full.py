@@ -28,8 +28,8 @@ class FullDiagnosis:
     """What `bench diagnose` finds out of one body of readings; JSON, terminal and page are told from it.
 
     `ranking` has for each effect that was found the families in its place; `skipped_rows` names rows of the
-    source that could not be read. `model` and `report` are files that were written, `corrections` what is known
-    of the instruments' certificates.
+    source that could not be read. `model`, `report` and `copy`, the readings with mistakes put right, are files
+    that were written; `corrections` is what is known of the instruments' certificates.
     """
 
     source: str
@@ -41,6 +41,7 @@ class FullDiagnosis:
     next_measurement: Proposal | None
     model: Path | None = None
     report: Path | None = None
+    copy: Path | None = None
     bench: Mapping[str, str] | None = None
     corrections: Sequence[Mapping[str, Any]] = ()
 
@@ -66,8 +67,21 @@ class FullDiagnosis:
             "simulated": self.simulated,
             "skipped_rows": list(self.skipped_rows),
             "report": None if self.report is None else str(self.report),
+            "corrected": self._corrected(),
         }
         return {key: without_infinity(value) for key, value in whole.items()}
+
+    def _corrected(self) -> dict[str, Any] | None:
+        """Return what the search on a copy with mistakes put right came to; None where there is no mistake."""
+        mistakes = self.diagnosis.mistakes
+        if not mistakes.mistakes:
+            return None
+        return {
+            "readings": None if self.copy is None else str(self.copy),
+            "used": len(mistakes.corrected),
+            "verdict": self.diagnosis.of_copy,
+            "rests_on": [mistake.words for mistake in mistakes.mistakes],
+        }
 
 
 class TooLittleLeft(CalibrationError):
@@ -108,6 +122,7 @@ class TooLittleLeft(CalibrationError):
             "bench": None if self.bench is None else dict(self.bench),
             "corrections": [dict(one) for one in self.corrections],
             "report": None,
+            "corrected": None,
         }
 
 

@@ -3,6 +3,10 @@
 The covariance of the rows is sigma^2 (I + gamma^2 d d^T + Z Z^T): sigma the noise of a reading, gamma sigma
 what a setting error of typical slope adds along d = du/dphi in units of it, Z the stand angles (and the
 model's own effects) within their limits. sigma is left free; gamma runs over the grid.
+
+A stand angle reaches no further than its mounting, so the covariance is one of blocks, a mounting each; what
+reaches further (an effect of the model) joins the coefficients, which are fitted, with its prior. Time and
+memory grow with the number of readings and not with its square: many runs are one system.
 """
 
 from __future__ import annotations
@@ -12,9 +16,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from bench.analysis.diagnosis.linear import LinearSystem
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Ints, Mask
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
 """Grid of gamma: what a setting error of the typical slope adds, in units of a reading's noise."""
@@ -22,28 +28,56 @@ RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
 RATIO_SPREAD: Final = 1.0
 """Standard deviation of ln gamma about what the bench file states: known to a factor of three, no better."""
 
+LOCAL: Final = 0.5
+"""What reaches no more than this part of the rows has them in one block; beyond, it is fitted with its prior."""
+
+ROUNDING: Final = 1e-12
+"""A prior leaves more than that of what is fitted, a coefficient nothing."""
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """A linear map of rows (N,) to numbers of variance sigma^2, those that the coefficients take away left out.
+
+    `blocks` are numbers of rows with the inverse Cholesky factor of their covariance; `basis` (N, k) spans
+    what is fitted, `kept` (k,) is what of it a prior leaves in: zero for the coefficients, which have none.
+    """
+
+    blocks: tuple[tuple[Ints, Floats], ...]
+    basis: Floats
+    kept: Floats
+
+    def __matmul__(self, columns: Floats) -> Floats:
+        """Return columns (N, …) in units of the noise: their scalar products are those that count."""
+        white = self._half(columns)
+        inside: Floats = self.basis.T @ white
+        white -= self.basis @ (inside.T * (1.0 - self.kept)).T
+        return white
+
+    def _half(self, columns: Floats) -> Floats:
+        white = np.empty_like(columns, dtype=np.float64)
+        for rows, factor in self.blocks:
+            white[rows] = factor @ columns[rows]
+        return white
+
 
 @dataclass(frozen=True)
 class NoiseGrid:
     """For each ratio a linear map to white noise with the coefficients projected out.
 
-    `white` (ratios, freedom, N) maps rows to freedom = N - 12 numbers, independent and of variance sigma^2
-    when nothing is missing; `log_det` (ratios,) completes the restricted likelihood; `log_prior` (ratios,).
+    `white` (ratios) map rows to numbers of variance sigma^2 when nothing is missing, of which `freedom` are
+    independent; `log_det` (ratios,) completes the restricted likelihood; `log_prior` (ratios,).
     `setting_rad_per_noise` (ratios,) is the setting error in rad for a reading noise of one. Where `sigma` is
     `known` it is believed; else the data say how large the noise is.
     """
 
-    white: Floats
+    white: tuple[Whitener, ...]
     log_det: Floats
     log_prior: Floats
     setting_rad_per_noise: Floats
     sigma: float
+    freedom: int
     known: bool = False
-
-    @property
-    def freedom(self) -> int:
-        """Rows less coefficients."""
-        return int(self.white.shape[1])
 
     def log_likelihood(self, square: Floats) -> Floats:
         """Return ln of the likelihood of residuals with this sum of squares, in units of `sigma` squared."""
@@ -66,11 +100,11 @@ def make_noise_grid(
     )
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
-    whites, log_dets = [], []
-    for ratio in ratios:
-        white, log_det = _white(linear, ratio / typical, slope2, sigma)
-        whites.append(white)
-        log_dets.append(log_det)
+    wide = np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear)
+    blocks = _blocks(linear, wide)
+    whites, log_dets = zip(
+        *(_white(linear, ratio / typical, sigma, wide, blocks) for ratio in ratios), strict=True
+    )
     grid = np.array(ratios)
     if known is None:
         log_prior = np.full(len(grid), -np.log(len(grid)))
@@ -78,26 +112,47 @@ def make_noise_grid(
         distance = (np.log(np.maximum(grid, 0.25)) - known) / RATIO_SPREAD
         log_prior = -0.5 * np.minimum(distance**2, 25.0)
         log_prior = log_prior - np.logaddexp.reduce(log_prior)
-    return NoiseGrid(np.stack(whites), np.array(log_dets), log_prior, grid / typical, sigma)
+    freedom = len(linear) - linear.fixed.shape[1]
+    return NoiseGrid(tuple(whites), np.array(log_dets), log_prior, grid / typical, sigma, freedom)
 
 
-def _white(linear: LinearSystem, setting: float, slope2: Floats, sigma: float) -> tuple[Floats, float]:
-    n = len(linear)
-    factor = setting**2 * slope2
-    shrink = (1.0 - 1.0 / np.sqrt(1.0 + factor)) / np.maximum(slope2, 1e-300)
-    half = np.eye(n)
-    for number in range(len(slope2)):
-        mine = np.flatnonzero(linear.setting == number)
-        d = linear.slope[mine]
-        half[np.ix_(mine, mine)] -= shrink[number] * np.outer(d, d)
-    fixed = half @ linear.fixed
-    q, r = np.linalg.qr(fixed, mode="complete")
-    beyond = q[:, fixed.shape[1] :].T @ half
-    random = beyond @ (linear.random / sigma)
-    covariance = np.eye(len(beyond)) + random @ random.T
-    cholesky = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(cholesky, beyond)
-    log_det = -0.5 * float(np.sum(np.log1p(factor)))
-    log_det -= float(np.sum(np.log(np.diag(cholesky))))
-    log_det -= float(np.sum(np.log(np.abs(np.diag(r)[: fixed.shape[1]]))))
-    return white, log_det
+def _blocks(linear: LinearSystem, wide: Mask) -> tuple[Ints, ...]:
+    """Return the rows that a setting or anything that is not `wide` joins, each block in ascending order."""
+    row, column = np.nonzero(linear.random[:, ~wide])
+    oriented = np.flatnonzero(linear.setting >= 0)
+    ends = np.concatenate([column, np.count_nonzero(~wide) + linear.setting[oriented]])
+    row = np.concatenate([row, oriented])
+    size = len(linear) + np.count_nonzero(~wide) + linear.settings
+    edges = coo_array((np.ones(len(row)), (row, len(linear) + ends)), shape=(size, size))
+    _, label = connected_components(edges, directed=False)
+    mine = label[: len(linear)]
+    order = np.argsort(mine, kind="stable")
+    starts = np.flatnonzero(np.diff(mine[order], prepend=-1))
+    return tuple(np.split(order, starts[1:]))
+
+
+def _white(
+    linear: LinearSystem, setting: float, sigma: float, wide: Mask, blocks: tuple[Ints, ...]
+) -> tuple[Whitener, float]:
+    factors = []
+    log_det = 0.0
+    for rows in blocks:
+        joined = linear.random[rows][:, ~wide] / sigma
+        joined = joined[:, np.any(joined, axis=0)]
+        own = linear.setting[rows]
+        slope = setting * linear.slope[rows]
+        covariance = np.eye(len(rows)) + joined @ joined.T
+        covariance += np.where(own[:, None] == own, np.outer(slope, slope), 0.0)
+        cholesky = np.linalg.cholesky(covariance)
+        log_det -= float(np.sum(np.log(np.diag(cholesky))))
+        factors.append((rows, np.linalg.inv(cholesky)))
+    half = Whitener(tuple(factors), np.zeros((len(linear), 0)), np.zeros(0))
+    fitted = half @ np.column_stack([linear.fixed, linear.random[:, wide] / sigma])
+    prior = np.zeros((np.count_nonzero(wide), fitted.shape[1]))
+    prior[:, linear.fixed.shape[1] :] = np.eye(len(prior))
+    q, r = np.linalg.qr(np.concatenate([fitted, prior]))
+    log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
+    basis, size, _ = np.linalg.svd(q[: len(linear)], full_matrices=False)
+    left = 1.0 - size**2
+    kept = np.sqrt(np.where(left > ROUNDING, left, 0.0))
+    return Whitener(tuple(factors), basis, kept), log_det

@@ -111,13 +111,15 @@ def _nested(values: Sequence[EffectValue]) -> dict[str, Any]:
 class Diagnosis:
     """All that was found out about one body of readings.
 
-    `hidden` are effects that the readings could never show, with their parts where it is true of some;
-    `detectable` the sizes, in plausible sizes, that are found in half of all runs. `linear`, `candidates`,
-    `naming`, `fitted` and `noise` are what plots and the report are drawn from; `findings` where that noise is
-    larger than stated.
+    `of_copy` is the verdict on the copy in which mistakes are put right, where there are any, and the same as
+    `verdict` where not. `hidden` are effects that the readings could never show, with their parts where it is true
+    of some; `detectable` the sizes, in plausible sizes, that are found in half of all runs. `linear`,
+    `candidates`, `naming`, `fitted` and `noise` are what plots and the report are drawn from; `findings` where that
+    noise is larger than stated.
     """
 
     verdict: Verdict
+    of_copy: Verdict
     where: tuple[Place, ...]
     mistakes: MistakeSearch
     effects: tuple[NamedEffect, ...]

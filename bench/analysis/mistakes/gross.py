@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
+from bench.analysis.mistakes.odds import Prior, log_evidence
 from bench.analysis.mistakes.reinterpretation import (
     Oriented,
     Reinterpretation,
@@ -28,7 +28,10 @@ from bench.model import Block, Installation
 from bench.model.geometry import STAND_ANGLES, specific_force_on_platform
 
 GROSS_G: Final = 5e-4
-"""What a reading may be off without a mistake, 1 sigma: 100 arcsec, or a large effect of the block."""
+"""What a reading may be off without a mistake, 1 sigma: 100 arcsec, or a large effect of the block; more on a bench
+whose own limits are wider."""
+ODDS: Final = 1e6
+"""Odds, for one look, at which a mistake is believed whatever the errors of the bench are."""
 SCALE_U: Final = 0.10
 CROSS_AXIS_U: Final = 0.05
 BIAS_U_G: Final = 0.5
@@ -41,6 +44,11 @@ FITS: Final = 4.0
 LARGE_FALL: Final = 0.8
 """Where no mistake, nor two, make them fit, one is believed that lowers the cost by such a part (or brings the
 block nearer to its data sheet, if all that is wrong is against it)."""
+
+LEAST_OF_TWO: Final = 0.25
+"""Two mistakes leave as much at least, g^2 over all readings; positions that tilt by a degree a tenth of it."""
+RAISED: Final = 2.0
+"""The first of two mistakes, put right by itself, may raise the cost, but by no more than so many times."""
 
 MOST_LEFT_OUT: Final = 4
 LEFT_OUT: Final = 50.0
@@ -66,7 +74,10 @@ class SuppositionScores:
 
 @dataclass(frozen=True)
 class GrossMistake:
-    """The supposition that explains the readings, those that explain them equally, the global p."""
+    """The supposition that explains the readings, those that explain them equally, the global p.
+
+    `p` is one over the odds for each look: chance reaches odds of B with a probability below 1/B.
+    """
 
     supposition: Reinterpretation
     equal: tuple[Reinterpretation, ...]
@@ -75,15 +86,26 @@ class GrossMistake:
 
 @dataclass(frozen=True)
 class GrossSearch:
-    """Looks for gross mistakes in tables of one bench; `nominal` (3,) are scale factors with their signs."""
+    """Looks for gross mistakes in tables of one bench; `nominal` (3,) are scale factors with their signs.
+
+    `stand_rad` is what the bench's own limits move a reading by, 1 sigma in g.
+    """
 
     installations: Mapping[str, Installation]
     nominal: Floats | None
+    stand_rad: float = 0.0
+
+    @property
+    def gross_g(self) -> float:
+        """What a reading may be off without a mistake, 1 sigma, g."""
+        return max(GROSS_G, self.stand_rad)
 
     def find(self, table: Oriented) -> tuple[GrossMistake | None, int]:
         """Return the likeliest mistake, or None where there is none, and the number of looks that it took.
 
-        Where only two mistakes together explain the readings, the first of them.
+        Where only two mistakes together explain the readings, the first of them. Whatever it is, the odds for
+        it must be good without any belief in the bench's limits; if those for the likeliest are not, the one
+        with the best odds is taken that lowers the cost.
         """
         supposed = suppositions(table)
         looks = len(supposed)
@@ -92,14 +114,28 @@ class GrossSearch:
         scores = self.score(table, supposed)
         if float(np.max(scores.cost[0] - scores.cost)) < LEAST_FALL:
             return None, looks
-        best = int(np.argmin(scores.cost))
+        best, two = int(np.argmin(scores.cost)), 0
         if not bool(_fits(scores, len(table))[best]):
-            first, more = self._first_of_two(table, supposed, scores.cost)
+            two, with_both, more = self._first_of_two(table, supposed, scores.cost)
             looks += more
-            best = first or (best if _better(scores, best, len(table)) else 0)
-        if best == 0:
+            best = best if two or _better(scores, best, len(table)) else 0
+        odds = np.full(len(supposed), -np.inf)
+        as_recorded = self._log_evidence(table, table)
+
+        def look(h: int) -> float:
+            return self._log_evidence(put_right(table, supposed[h]), table) - as_recorded
+
+        odds[best] = look(best)
+        if two:
+            odds[two] = max(look(two), self._log_evidence(with_both, table) - as_recorded)
+        if odds.max() - np.log(looks) <= np.log(ODDS):
+            for h in np.flatnonzero(scores.cost[0] - scores.cost >= LEAST_FALL).tolist():
+                odds[h] = look(h)
+        best = int(np.argmax(odds))
+        if odds[best] - np.log(looks) <= np.log(ODDS):
             return None, looks
-        return self._with_equals(table, supposed, scores.cost, best, looks), looks
+        cost = np.where(scores.cost < scores.cost[best], np.inf, scores.cost)
+        return self._with_equals(table, supposed, cost, best, looks * float(np.exp(-odds[best]))), looks
 
     def first_guess(self, table: Oriented) -> tuple[Block, float]:
         """Return the block as the readings are recorded, and its distance from the data sheet, a chi-square."""
@@ -108,13 +144,13 @@ class GrossSearch:
         return Block(found[:3].T.copy(), found[3].copy()), float(scores.sheet[0])
 
     def score(self, table: Oriented, supposed: Sequence[Reinterpretation]) -> SuppositionScores:
-        """Return the cost of each supposition; unit-free, in `GROSS_G`."""
+        """Return the cost of each supposition; unit-free, in `gross_g`."""
         scale = self._scale(table)
-        signal = np.stack([s.signal(table) for s in supposed]) / (GROSS_G * scale)
+        signal = np.stack([s.signal(table) for s in supposed]) / (self.gross_g * scale)
         columns = self._columns(table, supposed)
         weight = np.stack([np.ones(len(table)) if s.source is None else s.source >= 0 for s in supposed])
         mean, precision = self._prior(scale)
-        return _fit(columns, signal, weight.astype(np.float64), mean, precision, GROSS_G * scale)
+        return _fit(columns, signal, weight.astype(np.float64), mean, precision, self.gross_g * scale)
 
     def _scale(self, table: Oriented) -> Floats:
         """Size of a channel's signals for 1 g, (3,)."""
@@ -143,30 +179,49 @@ class GrossSearch:
         return np.concatenate([force, np.ones((*force.shape[:2], 1))], axis=2)
 
     def _prior(self, scale: Floats) -> tuple[Floats, Floats]:
-        """Prior means and precisions of (K_ix, K_iy, K_iz, U0_i), (4, 3), in units of `GROSS_G`."""
+        """Prior means and precisions of (K_ix, K_iy, K_iz, U0_i), (4, 3), in units of `gross_g`."""
         mean = np.zeros((4, 3))
         if self.nominal is None:
-            return mean, np.full((4, 3), 1e-6 * GROSS_G**2)  # no more than keeps the fit solvable
-        mean[:3] = np.diag(self.nominal) / (GROSS_G * scale)
-        u = np.vstack([np.where(np.eye(3) == 1, SCALE_U, CROSS_AXIS_U), np.full(3, BIAS_U_G)]) / GROSS_G
-        return mean, np.asarray(1 / u**2)
+            return mean, np.full((4, 3), 1e-6 * self.gross_g**2)  # no more than keeps the fit solvable
+        mean[:3] = np.diag(self.nominal) / (self.gross_g * scale)
+        return mean, np.asarray((_sheet_u() / self.gross_g) ** -2)
+
+    def _log_evidence(self, table: Oriented, recorded: Oriented) -> float:
+        """Return ln of the probability of a table, put right or not, of what was recorded, whatever the errors."""
+        unit = float(np.max(self._scale(recorded)))
+        mean = np.zeros((4, 3))
+        if self.nominal is None:
+            u = np.vstack([np.ones((3, 3)), 1.0 + np.abs(np.median(recorded.signal, axis=0)) / unit])
+        else:
+            mean[:3], u = np.diag(self.nominal) / unit, _sheet_u()
+        columns = self._columns(table, [nothing(table)])[0]
+        left_out = len(recorded) - len(table)
+        return log_evidence(table, columns, unit, Prior(mean, u), self.gross_g, left_out)
 
     def _first_of_two(
         self, table: Oriented, supposed: Sequence[Reinterpretation], cost: Floats
-    ) -> tuple[int, int]:
-        """Return the first of two mistakes that make the readings fit together (0 for none), and the looks."""
+    ) -> tuple[int, Oriented, int]:
+        """Return the first of two mistakes that make the readings fit (0 for none), both put right, and the looks.
+
+        One that by itself makes the misfit much larger is no first step.
+        """
         looks = 0
+        if cost[0] * self.gross_g**2 < LEAST_OF_TWO:
+            return 0, table, looks
+        leaving = any(s.source is not None for s in supposed)
         for h in np.argsort(cost).tolist():
-            if h:
+            if h and cost[h] < RAISED * cost[0]:
                 corrected = put_right(table, supposed[h])
-                second = suppositions(corrected)
+                second = [s for s in suppositions(corrected) if leaving or s.source is None]
                 looks += len(second)
-                if np.any(_fits(self.score(corrected, second), len(table))):
-                    return h, looks
-        return 0, looks
+                scores = self.score(corrected, second)
+                fitting = np.where(_fits(scores, len(table)), scores.cost, np.inf)
+                if np.isfinite(fitting.min()):
+                    return h, put_right(corrected, second[int(np.argmin(fitting))]), looks
+        return 0, table, looks
 
     def _with_equals(
-        self, table: Oriented, supposed: list[Reinterpretation], cost: Floats, best: int, looks: int
+        self, table: Oriented, supposed: Sequence[Reinterpretation], cost: Floats, best: int, p: float
     ) -> GrossMistake:
         """Name the plainest of the equally good ones; see whether another mounting would do as well."""
         mountings = other_mountings(table)
@@ -175,9 +230,7 @@ class GrossSearch:
         chosen = supposed[ranked[0]] if ranked[0] else supposed[best]
         equal = [supposed[h] for h in ranked.tolist() if h and supposed[h] is not chosen]
         equal += [m for m, c in zip(mountings, other, strict=True) if c - cost[best] < EQUAL]
-        # chi-square beyond this is a p of 1e-300
-        p = looks * float(special.chdtrc(1, min(cost[0] - cost[best], 1370.0)))
-        return GrossMistake(chosen, tuple(equal), min(p, 1.0))
+        return GrossMistake(chosen, tuple(equal), p)
 
 
 def put_right(table: Oriented, supposition: Reinterpretation) -> Oriented:
@@ -194,6 +247,11 @@ def put_right(table: Oriented, supposition: Reinterpretation) -> Oriented:
         angle[kept],
         supposition.signal(table)[kept],
     )
+
+
+def _sheet_u() -> Floats:
+    """Prior 1 sigma of (K_ix, K_iy, K_iz, U0_i) about a data sheet, (4, 3), g/g and g."""
+    return np.vstack([np.where(np.eye(3) == 1, SCALE_U, CROSS_AXIS_U), np.full(3, BIAS_U_G)])
 
 
 def _fits(scores: SuppositionScores, n: int) -> NDArray[np.bool_]:

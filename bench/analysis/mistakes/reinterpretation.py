@@ -19,6 +19,8 @@ from bench.readings.mistaken import EXCHANGED, REVERSED, RIGHT, MistakeName, Wir
 from bench.readings.table import REFERENCE, Readings
 
 SAME_STOP: Final = np.radians(0.5)
+LEAST_ROWS: Final = 4
+"""Fewer readings determine no coefficients: no supposition leaves less."""
 
 
 @dataclass(frozen=True)
@@ -228,6 +230,8 @@ def _shifted(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
     for runs in by_pass + through:
         for step, when in ((1, "late"), (-1, "early")):
             source = _rows_aside(runs, scope.mask, step)
+            if np.count_nonzero(source >= 0) < LEAST_ROWS:
+                continue
             words = (
                 f"the readings stand one stop too {when} {scope}; the copy has them moved back, without the "
                 "stop that has none"

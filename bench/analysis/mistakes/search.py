@@ -21,7 +21,7 @@ from bench.analysis.mistakes.gross import GrossMistake, GrossSearch
 from bench.analysis.mistakes.reinterpretation import Oriented
 from bench.analysis.mistakes.single_readings import SingleMistake, find_single
 from bench.base.arrays import Floats
-from bench.model import Block, ForwardModel
+from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.mistaken import MistakeName
 from bench.readings.table import Readings
 
@@ -79,7 +79,7 @@ def find_mistakes(
 ) -> MistakeSearch:
     """Look for mistakes in a table of readings.
 
-    `stand_u` are standard uncertainties of the stand's angles by the names in `STAND_ANGLES`, rad;
+    `stand_u` are standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad;
     `nominal_scale_factors` (3,) are those of the data sheet with their signs, in the unit of the signal per
     g, or None: then a mistake that the coefficients take up (channels exchanged in the whole run) cannot be
     seen. `significance` is the probability, all looks counted, of finding any single reading wrong where none
@@ -87,7 +87,8 @@ def find_mistakes(
     """
     usable_rows(readings, model)
     nominal = None if nominal_scale_factors is None else np.asarray(nominal_scale_factors, dtype=np.float64)
-    stage = _Stage(model, stand_u, GrossSearch(model.installations, nominal))
+    limits = [stand_u[name] for name in (*STAND_ANGLES, "setting_error") if name in stand_u]
+    stage = _Stage(model, stand_u, GrossSearch(model.installations, nominal, float(np.linalg.norm(limits))))
     found: list[Mistake] = []
     copies = [readings]
     looks = 0

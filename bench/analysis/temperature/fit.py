@@ -129,7 +129,8 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
     moved = np.inf
     for _ in range(MOST_ITERATIONS):
         system = _linearise(task, values, others)
-        step, covariance, _ = solve(task.problem, system, sizes.widened(), others)
+        found = solve(task.problem, system, sizes.widened(), others)
+        step, covariance = found.step, found.covariance
         values[task.terms] += step[:count]
         others = others + step[count:]
         moved = float(np.max(np.abs(step) / u_of(covariance)))

@@ -103,6 +103,9 @@ def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
     for mistake in diagnosis.mistakes.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
         out.print("  what follows is from a copy with it put right; the record is as it was")
+    if diagnosis.mistakes.mistakes:
+        used = len(diagnosis.mistakes.corrected)
+        out.print(f"Put right, {used} readings are searched")
 
 
 def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
@@ -168,8 +171,9 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
 
 
 def _files(full: FullDiagnosis, out: Console) -> None:
-    for what, file in (("model", full.model), ("report", full.report)):
+    files = (("corrected copy of the readings", full.copy), ("model", full.model), ("report", full.report))
+    for what, file in files:
         if file is not None:
             out.print(f"{what}: {file}")
-    if full.diagnosis.verdict == "confounded" and full.model is None:
+    if full.diagnosis.of_copy == "confounded" and full.model is None:
         out.print("no model file is written while the data cannot tell; --accept-first takes the first")

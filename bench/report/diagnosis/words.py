@@ -148,12 +148,21 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
                 " or ".join([mistake.name, *mistake.cannot_tell_from])
                 for mistake in diagnosis.mistakes.mistakes
             )
-            return f"{found}; put it right and measure again, or mend the readings file"
+            return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}{closed}"
         case "named":
             return f"{', '.join(effect_title(effect) for effect in effects)}{closed}"
         case "confounded":
             return f"{alike_in_words(effects)}{closed}"
     return f"{'; '.join(effect.words for effect in effects)}{closed}"
+
+
+def _of_copy_in_words(diagnosis: Diagnosis) -> str:
+    """Return what the search on the copy with mistakes put right came to."""
+    if diagnosis.of_copy == "agrees":
+        return "it agrees with the model within the noise"
+    if diagnosis.of_copy == "unknown":
+        return "; ".join(effect.words for effect in diagnosis.effects)
+    return f"{alike_in_words(diagnosis.effects)} in it"
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
@@ -192,6 +201,10 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
     """Return what speaks for each effect and for the whole, for the reader of the model file."""
     diagnosis, gap = full.diagnosis, full.diagnosis.gap
     evidence = {"found in": full.source}
+    if diagnosis.mistakes.mistakes:
+        mended = "; ".join(mistake.words for mistake in diagnosis.mistakes.mistakes)
+        copy = "a copy" if full.copy is None else str(full.copy)
+        evidence["rests on"] = f"{copy} with these mistakes put right: {mended}"
     for effect, found in zip(diagnosis.effects, diagnosis.naming.found, strict=False):
         text = (
             f"ln odds {found.evidence:.2f}, p {effect.p_all_looks:.2g} with all looks, rho {found.size:.1f}"

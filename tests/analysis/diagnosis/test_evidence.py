@@ -6,8 +6,8 @@ from scipy.special import logsumexp
 
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, SIZES, Search
 from bench.analysis.diagnosis.noise_grid import RATIOS
-from bench.model import CATALOGUE
-from tests.support.diagnosis_bench import NOISE_V, PSI, paper_run, set_up
+from bench.model import CATALOGUE, AppliedEffect, ForwardModel
+from tests.support.diagnosis_bench import MODEL, NOISE_V, PSI, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, K
 
 
@@ -78,17 +78,32 @@ def test_many_data_sets_are_scored_as_each_alone(one):
         np.testing.assert_allclose(together[:, i], alone, atol=1e-7)
 
 
-def test_whitened_noise_is_white(one):
-    """Cov of the whitened rows is the identity: checked with the dense covariance."""
+@pytest.mark.parametrize(
+    "known",
+    [(), (AppliedEffect(CATALOGUE["bias_drift"], {"rate": np.full(3, 1e-9)}),)],
+    ids=["paper", "with an effect"],
+)
+def test_products_of_whitened_columns_are_those_of_the_dense_covariance(known):
+    """C^T (R^-1 - R^-1 X (X^T R^-1 X)^-1 X^T R^-1) C, also where an effect of the model reaches all mountings."""
+    one = set_up(paper_run(None), ForwardModel(MODEL.installations, known))
     grid, linear = one.whitened.grid, one.linear
+    columns = one.candidates.columns[:, ::20] / NOISE_V
     for ratio in (0, len(RATIOS) // 2, len(RATIOS) - 1):
         same = (linear.setting[:, None] == linear.setting[None, :]) & (linear.setting >= 0)[:, None]
         slope = grid.setting_rad_per_noise[ratio] * linear.slope
         covariance = np.eye(len(linear)) + np.where(same, np.outer(slope, slope), 0.0)
         covariance += (linear.random / NOISE_V) @ (linear.random / NOISE_V).T
-        white = grid.white[ratio]
-        np.testing.assert_allclose(white @ covariance @ white.T, np.eye(len(white)), atol=1e-8)
-        np.testing.assert_allclose(white @ linear.fixed, 0.0, atol=1e-7)
+        inverse = np.linalg.inv(covariance)
+        weighed = inverse @ linear.fixed
+        inside = np.linalg.inv(linear.fixed.T @ weighed)
+        expected = columns.T @ (inverse - weighed @ inside @ weighed.T) @ columns
+        white = grid.white[ratio] @ columns
+        scale = np.sqrt(np.diag(columns.T @ inverse @ columns))
+        scale = np.outer(scale, scale)
+        np.testing.assert_allclose((white.T @ white) / scale, expected / scale, atol=1e-6)
+        likelihood = -0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(inside)[1])
+        assert grid.log_det[ratio] == pytest.approx(likelihood, abs=1e-6)
+    assert grid.freedom == len(linear) - 12
 
 
 def test_rows_of_the_modulus_follow_from_geometry():
