@@ -97,7 +97,8 @@ def diagnose(
 
 
 def _assumed(readings: Readings) -> Iterator[str]:
-    """Yield what the diagnosis takes for granted where the readings do not say it."""
+    """Yield what the diagnosis takes for granted where the readings do not say it, and what it could not have."""
+    yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
     if not np.isfinite(readings.time_s).any():
         yield (
             f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -90,19 +90,19 @@ class Effect(ABC):
     reading depends on the rows before it, `needs_path` where it depends on how the head came there.
     """
 
-    name: ClassVar[str]
-    stage: ClassVar[Stage]
-    subsystem: ClassVar[Subsystem]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    sentence: ClassVar[str]
-    shown_by: ClassVar[str]
-    per_mount: ClassVar[bool] = False
-    lasts: ClassVar[bool] = False
-    per_pass: ClassVar[bool] = False
-    outlasts_mount: ClassVar[bool] = False
-    apart: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    needs_history: ClassVar[bool] = False
-    needs_path: ClassVar[bool] = False
+    name: str
+    stage: Stage
+    subsystem: Subsystem
+    parameters: tuple[Parameter, ...]
+    sentence: str
+    shown_by: str
+    per_mount: bool = False
+    lasts: bool = False
+    per_pass: bool = False
+    outlasts_mount: bool = False
+    apart: tuple[tuple[str, ...], ...] = ()
+    needs_history: bool = False
+    needs_path: bool = False
 
     @abstractmethod
     def addition(self, values: Values, seen: Seen) -> Floats:
