@@ -115,7 +115,8 @@ class Scored:
         }
         best = max(evidence, key=lambda i: evidence[i])
         rivals = [i for i in evidence if evidence[best] - evidence[i] < LESS_PLAUSIBLE]
-        if any(variants[i].mounts != variants[best].mounts for i in rivals):
+        by_pass = family in CATALOGUE and CATALOGUE[family].per_pass
+        if not by_pass and any(variants[i].mounts != variants[best].mounts for i in rivals):
             # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
         return variants[best]
@@ -134,12 +135,12 @@ class Scored:
         return np.asarray(amplitude, dtype=np.float64), gram
 
 
-def name(whitened: Whitened, data: Data, threshold: Threshold) -> Naming:
-    """Find what is missing in one data set."""
+def name(whitened: Whitened, data: Data, threshold: Threshold, most: int = MOST_EFFECTS) -> Naming:
+    """Find what is missing in one data set, `most` effects at most."""
     found: list[Found] = []
     while True:
         scored = Scored.beside(whitened, data, _columns(found))
-        if scored.total < threshold.value or len(found) == MOST_EFFECTS:
+        if scored.total < threshold.value or len(found) == most:
             break
         best = scored.best()
         pair = None if best.variant.named else _named_pair(scored, data, best)

@@ -35,7 +35,7 @@ def test_an_effect_of_20_is_found_and_the_truth_is_in_the_set():
         assert marks["detected"]
         assert any(answer.names[0] in names for names in sets_given(diagnosis)), answer.names
         gap = diagnosis["gap"]
-        # a stand angle beyond its limits is estimated as well without a name: nothing held out shows it
+        # what is constant in a mounting is in the other passes, too: nothing held out shows it
         assert answer.names == ("mounting_error",) if gap["before"] is None else gap["after"] < gap["before"]
 
 
