@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,7 +20,7 @@ from bench.analysis.calibration.design import make_problem
 from bench.analysis.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.analysis.mistakes.search import MistakeSearch, find_mistakes
 from bench.base.arrays import Floats, Ints
-from bench.model import AppliedEffect, Block, ForwardModel
+from bench.model import AppliedEffect, Block, Conditions, ForwardModel
 from bench.model.effects import Subsystem
 from bench.readings.joined import stacked
 from bench.readings.table import Readings
@@ -35,6 +36,23 @@ class JointSystem(LinearSystem):
     """The systems of several blocks as one; `block` is the first, `parts` are those of each."""
 
     parts: tuple[LinearSystem, ...]
+
+    @property
+    def g_per_signal(self) -> Floats:
+        """What turns a row into g (N,), each by its own block."""
+        assert self.readings.block is not None  # noqa: S101 - it is a system of several
+        block = self.readings.block[self.rows.reading]
+        size = np.empty(len(self))
+        for number, part in zip(np.unique(self.readings.block), self.parts, strict=True):
+            mine = block == number
+            rows = Rows(self.rows.reading[mine], self.rows.channel[mine])
+            size[mine] = replace(part, readings=self.readings, rows=rows).g_per_signal
+        return size
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """The conditions of all readings, in the order of measurement."""
+        return self.readings.conditions()
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
         """Return what an effect with these values adds to the rows, shape (N,)."""

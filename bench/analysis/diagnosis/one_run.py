@@ -10,13 +10,18 @@ import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates, Column, make_candidates
 from bench.analysis.diagnosis.evidence import Data, Whitened
+from bench.analysis.diagnosis.joint import make_system
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
+from bench.analysis.diagnosis.looked import Looked
 from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.posterior import noise_size, posterior
+from bench.analysis.diagnosis.repeats import noise_of_repeats
+from bench.analysis.diagnosis.runs import candidates_of
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.base.arrays import Floats, Mask
 from bench.base.progress import tracked
+from bench.model import ForwardModel
 from bench.readings.table import Readings
 
 TOGETHER: Final = 0.004
@@ -42,7 +47,7 @@ UNLIKELY: Final = 5.0
 
 
 @dataclass(frozen=True)
-class EachRun:
+class _EachRun:
     """How each run is searched by itself: limits of the stand, the noise of a reading, thresholds."""
 
     stand_u: Mapping[str, float]
@@ -51,8 +56,30 @@ class EachRun:
     cache: ThresholdCache
 
 
-def name_in_all_and_each(
-    linear: LinearSystem, whitened: Whitened, limit: Threshold, each: EachRun
+def look_at_runs(
+    readings: Readings,
+    model: ForwardModel,
+    stand: Mapping[str, float],
+    setting_rad: float,
+    cache: ThresholdCache,
+    resolution: float,
+) -> tuple[Looked, Naming]:
+    """Prepare readings of several runs and find what is missing; arguments and errors as of `look` for one."""
+    linear = make_system(readings, model, stand)
+    repeats = noise_of_repeats(linear, resolution)
+    whitened = Whitened.of(
+        make_noise_grid(linear, repeats.sigma, setting_rad), candidates_of(linear, repeats.sigma)
+    )
+    limit = cache.threshold(linear, whitened, setting_rad).at(TOGETHER)
+    each = _EachRun(stand, setting_rad, repeats.sigma, cache)
+    whitened, naming = _name_in_all_and_each(linear, whitened, limit, each)
+    data = whitened.reduce(linear.response[:, None])
+    bend = np.zeros(len(linear))
+    return Looked(linear, repeats, whitened.candidates, whitened, data, limit, bend), naming
+
+
+def _name_in_all_and_each(
+    linear: LinearSystem, whitened: Whitened, limit: Threshold, each: _EachRun
 ) -> tuple[Whitened, Naming]:
     """Find what all runs have and what one has alone; return it with the candidates that it is among.
 
@@ -68,7 +95,7 @@ def name_in_all_and_each(
         data = whitened.reduce(response)
     else:
         alone = ()
-    naming = name(whitened, data, limit, alone)
+    naming = name(whitened, data, limit, begun=alone)
     grown, more = _look_in_each(linear, whitened, data, naming, each)
     if not alone and not more:
         return whitened, naming
@@ -76,13 +103,13 @@ def name_in_all_and_each(
     data = whitened.reduce(response)
     begun = [*alone, *more]
     for _ in range(len(begun)):
-        naming = name(whitened, data, limit, begun)
+        naming = name(whitened, data, limit, begun=begun)
         kept = [one for one in begun if _stays(whitened, data, naming, one)]
         if len(kept) == len(begun):
             break
         begun = kept
     else:
-        naming = name(whitened, data, limit, begun)
+        naming = name(whitened, data, limit, begun=begun)
     return whitened, naming
 
 
@@ -96,7 +123,7 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: Found) -> bool:
 
 
 def _look_in_each(
-    linear: LinearSystem, whole: Whitened, data: Data, naming: Naming, each: EachRun
+    linear: LinearSystem, whole: Whitened, data: Data, naming: Naming, each: _EachRun
 ) -> tuple[Candidates, tuple[Found, ...]]:
     """Look in each run for what it has alone; return the candidates with its columns added, and what was found.
 

@@ -51,10 +51,12 @@ def candidates_of(linear: LinearSystem, unit_noise: float) -> Candidates:
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     """Yield the same everywhere, in one installation of every run, each block or run or mounting its own.
 
-    An effect with a shape is the same in all blocks, or is found in one of them: no shape is looked for that
-    fits blocks of different sizes.
+    What is of some passes is looked for in each run. An effect with a shape is the same in all blocks, or is found
+    in one of them: no shape is looked for that fits blocks of different sizes.
     """
     readings = linear.readings
+    if effect.per_pass:
+        return
     if not effect.per_mount:
         yield ((),)
         if readings.block is not None and effect.subsystem is Subsystem.BLOCK:
