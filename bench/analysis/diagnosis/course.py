@@ -18,6 +18,8 @@ from bench.analysis.diagnosis.candidates import (
     make_candidates,
 )
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
+from bench.analysis.diagnosis.form.describe import describe
+from bench.analysis.diagnosis.form.search import Setting
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.linear import make_linear
@@ -77,9 +79,16 @@ def diagnose(
     effects = _effects(candidates, naming, fitted, limit)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
+    of_copy = _verdict(False, effects)
+    form = None
+    if of_copy == "unknown":
+        given = [column for f in naming.found if f.variant.named for column in f.variant.columns]
+        about = Setting(repeats.sigma, setting_rad, near_ratios(linear, noise), limit)
+        form = describe(linear, candidates.columns[:, given], repeats.sigma, about)
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects),
-        of_copy=_verdict(False, effects),
+        of_copy=of_copy,
+        form=form,
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,

@@ -110,6 +110,7 @@ class TooLittleLeft(CalibrationError):
             "model": None,
             "noise": None,
             "p_left": None,
+            "form": None,
             "detectable": {},
             "registered": None,
             "notes": [f"put right, {self.reason}"],
