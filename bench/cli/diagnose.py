@@ -170,8 +170,10 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
 
     full = diagnosis_of(body.source)
     full = replace(full, copy=_written_copy(body, full))
+    verdict, shrinks = full.diagnosis.of_copy, full.diagnosis.gap.shrinks
+    # what makes the gap no smaller is no better model, whoever accepts it
     form = full.diagnosis.form
-    told = full.diagnosis.of_copy in ({"named", "confounded"} if accept_first else {"named"})
+    told = verdict == "named" or (accept_first and verdict == "confounded" and shrinks is not False)
     if told or (form is not None and form.predicts):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:

@@ -174,9 +174,12 @@ def describe(linear: LinearSystem, given: Floats, repeats_sigma: float, setting:
     noise = noise_size(whitened, data, tuple(columns))
     fitted = posterior(linear, dictionary.candidates.columns[:, columns], noise)
     others = [alike(whitened, data, count, found, i) for i in range(len(found))]
+    thirds = any(dictionary.of(f.variant).once for f in found)
     form = FreeForm(
         terms=_terms(linear, dictionary, found, others, fitted, count),
-        folds=tuple(held_out(linear, dictionary.candidates, count, noise, setting)) if found else (),
+        folds=tuple(held_out(linear, dictionary.candidates, count, noise, setting, thirds=thirds))
+        if found
+        else (),
         dark=0.0,
         scatter=None,
         unit=linear.readings.unit,

@@ -58,7 +58,8 @@ class Course:
     """A course over a run: plain numbers of order 1, one `expression` for each size that it needs.
 
     `constants` are shapes with one value; `of_temperature` where it is in kelvin; `long` where it may be of the
-    scale factor, too, `local` where it is of the bias or the head alone: of one angle, or from one reading on.
+    scale factor, too, `local` where it is of the bias or the head alone: of one angle, or from one reading on;
+    `once` where it happens at one time, so that no other pass tells of it.
     """
 
     words: str
@@ -67,6 +68,7 @@ class Course:
     of_temperature: bool = False
     long: bool = False
     local: bool = False
+    once: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ class Term:
     unit: Unit
     adds_to: str = ""
     constants: tuple[Parameter, ...] = ()
+    once: bool = False
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
         """Return the term as an effect of this name, with a size for each channel or one for all."""
@@ -176,19 +179,25 @@ def _terms(linear: LinearSystem) -> Iterator[Term]:
         unit = BIAS_PER_K if course.of_temperature else BIAS
         known = course.constants
         yield Term(
-            f"{course.words}, in the bias", Stage.BLOCK_OUTPUT, course.expressions, unit, constants=known
+            f"{course.words}, in the bias",
+            Stage.BLOCK_OUTPUT,
+            course.expressions,
+            unit,
+            "",
+            known,
+            course.once,
         )
         if course.long:
             unit = SCALE_PER_K if course.of_temperature else SCALE
             times = tuple(f"a * ({text})" for text in course.expressions)
             words = f"{course.words}, in the scale factor"
-            yield Term(words, Stage.BLOCK_OUTPUT, times, unit, constants=known)
+            yield Term(words, Stage.BLOCK_OUTPUT, times, unit, "", known, course.once)
         unit = ANGLE_PER_K if course.of_temperature else ANGLE
         words = f"{course.words}, in the head's angle"
-        yield Term(words, Stage.HEAD_ANGLE, course.expressions, unit, constants=known)
+        yield Term(words, Stage.HEAD_ANGLE, course.expressions, unit, "", known, course.once)
         for angle, what in () if course.local else STAND_WORDS.items():
             words = f"{course.words}, in {what}"
-            yield Term(words, Stage.STAND, course.expressions, unit, angle, known)
+            yield Term(words, Stage.STAND, course.expressions, unit, angle, known, course.once)
     for words, expressions in FORCES.items():
         for text in expressions:
             yield Term(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
@@ -217,7 +226,7 @@ def _of_voltmeters(courses: Sequence[Course]) -> Iterator[Term]:
         if course.long:
             unit = VOLTS_PER_K if course.of_temperature else VOLTS
             words = f"{course.words}, in the voltage"
-            yield Term(words, stage, course.expressions, unit, constants=course.constants)
+            yield Term(words, stage, course.expressions, unit, "", course.constants, course.once)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
         yield Term("the size of a voltage", stage, (text,), GAIN)
     yield Term("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
@@ -312,9 +321,8 @@ def _of_time(conditions: Conditions) -> Iterator[Course]:
     for k in range(SLOWEST, FASTEST + 1):
         yield Course("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
     for at in _between(time[np.isfinite(conditions.angle_rad)]):
-        yield Course(
-            "a step in time", ("(time > t)",), (_constant("t", "s", 1.0, float(f"{at:.7g}")),), local=True
-        )
+        when = (_constant("t", "s", 1.0, float(f"{at:.7g}")),)
+        yield Course("a step in time", ("(time > t)",), when, local=True, once=True)
 
 
 def _between(time_s: Floats) -> Floats:
@@ -331,6 +339,6 @@ def _of_passes(conditions: Conditions) -> Iterator[Course]:
         yield Course("one mounting", (_in_visit(visit),), long=True)
     for number in passes if len(passes) > 1 else ():
         alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
-        yield Course("one pass", (alone,), long=True)
+        yield Course("one pass", (alone,), long=True, once=True)
         for visit in range(1, count + 1) if count > 1 else range(0):
-            yield Course("one pass of one mounting", (f"{alone} * {_in_visit(visit)}",), long=True)
+            yield Course("one pass of one mounting", (f"{alone} * {_in_visit(visit)}",), long=True, once=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.evidence import Data, Whitened
-from bench.analysis.diagnosis.holdout import folds_of, restrict
+from bench.analysis.diagnosis.holdout import determined, folds_of, restrict, thirds_of
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import LESS_PLAUSIBLE, Found, Scored
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
@@ -99,10 +99,21 @@ def whitened_columns(linear: LinearSystem, candidates: Candidates, setting: Sett
 
 
 def held_out(
-    linear: LinearSystem, candidates: Candidates, given: int, noise: NoiseSize, setting: Setting
+    linear: LinearSystem,
+    candidates: Candidates,
+    given: int,
+    noise: NoiseSize,
+    setting: Setting,
+    *,
+    thirds: bool,
 ) -> list[FormFold]:
-    """Search again without each part of the readings in turn, and predict it."""
-    return [_fold(linear, candidates, given, noise, setting, *fold) for fold in folds_of(linear)]
+    """Search again without each part of the readings in turn, and predict it.
+
+    Parts are passes and the verification points, or `thirds`: every third setting, where something is of one pass.
+    """
+    parts = thirds_of(linear) if thirds else folds_of(linear)
+    able = [(label, held) for label, held in parts if determined(linear, ~held)]
+    return [_fold(linear, candidates, given, noise, setting, *fold) for fold in able]
 
 
 def _fold(
