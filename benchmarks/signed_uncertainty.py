@@ -206,8 +206,8 @@ def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Flo
         best = calibrate(drawn.readings, own().model, own().stand_u, 9.81, noise=known, find_shared=False)
         errors = [each.block.vector - drawn.truth for each in (found, best)]
         rows.append([*errors, found.u_readings, best.u])
-    errors, ideal, u, bound = (np.array(column) for column in zip(*rows, strict=True))
-    return errors, ideal, u, bound
+    error, ideal, u, bound = (np.array(column) for column in zip(*rows, strict=True))
+    return error, ideal, u, bound
 
 
 def show_bound(parts: list[tuple[Floats, Floats, Floats, Floats]], runs: int) -> list[str]:
