@@ -182,7 +182,9 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     full = replace(full, copy=_written_copy(body, full))
     verdict, shrinks = full.diagnosis.of_copy, full.diagnosis.gap.shrinks
     # what makes the gap no smaller is no better model, whoever accepts it
-    if verdict == "named" or (accept_first and verdict == "confounded" and shrinks is not False):
+    form = full.diagnosis.form
+    told = verdict == "named" or (accept_first and verdict == "confounded" and shrinks is not False)
+    if told or (form is not None and form.predicts):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:
         try:
@@ -229,6 +231,7 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
                 parent=source.model.name,
                 data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256_with_copy(full)))),
                 evidence=evidence_in_words(full),
+                dark_uncertainty=_dark(full),
             )
         except FileMistakes:  # it was free a moment ago, and another program has it now
             continue
@@ -237,6 +240,12 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
             return None
         return path
     return None
+
+
+def _dark(full: FullDiagnosis) -> str | None:
+    """Return what stays unexplained beside the terms of what has no name, as a model file says it."""
+    form = full.diagnosis.form
+    return None if form is None or form.dark == 0.0 else f"{form.dark:.3g} {form.unit}"
 
 
 def _free_files(path: Path) -> Iterator[Path]:

@@ -18,6 +18,8 @@ from bench.analysis.diagnosis.candidates import (
     in_volts,
 )
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
+from bench.analysis.diagnosis.form.describe import describe
+from bench.analysis.diagnosis.form.search import Setting
 from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
 from bench.analysis.diagnosis.joint import find_mistakes_in_each, with_blocks
@@ -80,9 +82,16 @@ def diagnose(
         effects = (*effects, _unexplained(p_left))
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope)
+    of_copy = _verdict(False, effects, findings, gap)
+    form = None
+    if of_copy == "unknown":
+        given = [column for f in naming.found if f.variant.named for column in f.variant.columns]
+        about = Setting(repeats.sigma, setting_rad, near_ratios(linear, noise), limit)
+        form = describe(linear, candidates.columns[:, given], repeats.sigma, about)
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects, findings, gap),
-        of_copy=_verdict(False, effects, findings, gap),
+        of_copy=of_copy,
+        form=form,
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,

@@ -125,6 +125,7 @@ class TooLittleLeft(CalibrationError):
             "model": None,
             "noise": None,
             "p_left": None,
+            "form": None,
             "detectable": {},
             "registered": None,
             "notes": [f"put right, {self.reason}"],

@@ -15,6 +15,7 @@ from bench.analysis.diagnosis.where import Place
 from bench.base.numbers import aligned, concise, fixed, quantity, rounded, scale_for, two_digits, typeset
 from bench.model import CATALOGUE, Effect
 from bench.report.diagnosis import plots, words
+from bench.report.diagnosis.form import form_in_words
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
 from bench.report.template import page
@@ -46,6 +47,7 @@ def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance
         verdict=words.verdict_in_words(diagnosis),
         places=[_place(place) for place in diagnosis.where],
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
+        form=list(form_in_words(diagnosis.form)) if diagnosis.form is not None else [],
         held_out=_held_out(diagnosis.gap),
         gap_bars=_drawn(plots.gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
         coefficients=_coefficients(shown),
