@@ -31,6 +31,9 @@ Word = Literal["confirmed", "changed", "gone"]
 TOLD: Final = 0.5
 """A parameter is told where the readings leave less than this part of its wide prior."""
 
+STILL_SEEN: Final = 0.5
+"""What leaves this part of the square by which the effects stand out does not stand for them."""
+
 POWER: Final = 2.0
 """Beyond what would be significant, in units of noise: an effect so large is seen nearly always."""
 
@@ -147,7 +150,7 @@ def confirm(
         before=before,
         after=after,
         p_after=float(special.fdtrc(freedom, noise.freedom, chi2 / freedom)),
-        effects=_now(having, noise),
+        effects=_now(having, diagnosis),
         diagnosis=diagnosis,
     )
 
@@ -181,7 +184,7 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
     return float(np.sum(white**2) + np.sum(fitted.mean[FIXED:] ** 2))
 
 
-def _now(linear: LinearSystem, noise: NoiseSize) -> tuple[EffectNow, ...]:
+def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare. Raises `CalibrationError` where none shows."""
     unknowns, model = linear.problem.effects, linear.model
     plausible = np.array([_plausible(model, unknown) for unknown in unknowns])
@@ -189,8 +192,7 @@ def _now(linear: LinearSystem, noise: NoiseSize) -> tuple[EffectNow, ...]:
     u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
     own = linear.random[:, linear.own] * (plausible / [unknown.prior_u for unknown in unknowns])
     free = replace(linear, random=np.delete(linear.random, linear.own, axis=1))
-    fitted = posterior(free, own, noise)
-    change, covariance = fitted.amplitudes, fitted.amplitude_covariance
+    change, covariance = _estimated(free, own, found, diagnosis)
     known = np.sqrt(np.diag(covariance))
     told = known < TOLD * KNOWN_SIZE
     effects, seen = [], []
@@ -218,6 +220,25 @@ def _now(linear: LinearSystem, noise: NoiseSize) -> tuple[EffectNow, ...]:
             "more passes"
         )
     return tuple(effects)
+
+
+def _estimated(
+    linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis
+) -> tuple[Floats, Floats]:
+    """Return by how much the effects differ from the values `found` (m,), and the covariance, in plausible sizes.
+
+    What else was found in these readings is estimated with them, unless it would hide them: it stands then for
+    their change.
+    """
+    count, columns = len(found), own
+    fitted = posterior(linear, columns, diagnosis.noise)
+    for one in diagnosis.naming.found:
+        more = np.column_stack([columns, diagnosis.candidates.columns[:, list(one.variant.columns)]])
+        again = posterior(linear, more, diagnosis.noise)
+        seen, beside = (_square(found, fit.amplitude_covariance[:count, :count]) for fit in (fitted, again))
+        if beside >= STILL_SEEN * seen:
+            columns, fitted = more, again
+    return fitted.amplitudes[:count], fitted.amplitude_covariance[:count, :count]
 
 
 def _chance(part: Floats, covariance: Floats) -> float:
