@@ -90,6 +90,7 @@ def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
         ),
         moved=readings.select(readings.is_oriented).conditions(),
         view=first.view,
+        problem=first.problem,
         parts=tuple(parts),
     )
 
