@@ -46,6 +46,7 @@ class LinearSystem:
     `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
     angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
     in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
+    `problem` has the unknowns of the settings: stand angles and the model's own effects.
     """
 
     readings: Readings
@@ -59,9 +60,15 @@ class LinearSystem:
     setting: Ints
     moved: Conditions
     view: _View
+    problem: Problem
 
     def __len__(self) -> int:
         return len(self.response)
+
+    @property
+    def own(self) -> slice:
+        """Places in `random` of the model's own effects, which are `problem.effects`."""
+        return slice(len(self.problem.stand), len(self.problem.stand) + len(self.problem.effects))
 
     @property
     def settings(self) -> int:
@@ -80,6 +87,11 @@ class LinearSystem:
         modulus = self.rows.channel == MODULUS
         of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]
         return of_channel
+
+    @property
+    def conditions(self) -> Conditions:
+        """The conditions of all readings, in the order of measurement."""
+        return self.view.conditions
 
     def rows_of(self, change: Floats) -> Floats:
         """Contract changes (n, 3) of the signals to the rows, shape (N,)."""
@@ -183,7 +195,18 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     )
     response = np.concatenate([residual.ravel(), modulus_error, input_error.ravel()])
     return LinearSystem(
-        readings, model, block, rows, response, fixed, random, slope, setting, problem.conditions, view
+        readings,
+        model,
+        block,
+        rows,
+        response,
+        fixed,
+        random,
+        slope,
+        setting,
+        problem.conditions,
+        view,
+        problem,
     )
 
 

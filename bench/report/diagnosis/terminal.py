@@ -10,12 +10,15 @@ from rich.table import Table
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import Confirmation
+from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import quantity, typeset
 from bench.base.progress import quiet
 from bench.model import CATALOGUE
 from bench.report.diagnosis import words
+from bench.report.diagnosis.form import form_in_words
 
 LISTED_PLACES: Final = 6
 LISTED_SHIFT: Final = 0.5
@@ -30,6 +33,8 @@ def print_one(full: FullDiagnosis, out: Console) -> None:
     _places(diagnosis, out)
     for number, effect in enumerate(diagnosis.effects):
         _effect(effect, full.rivals_of(number), out)
+    if diagnosis.form is not None:
+        _form(full, diagnosis.form, out)
     if diagnosis.effects:
         _gap(diagnosis, shown, out)
     if shown.after is not None:
@@ -126,6 +131,14 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
         out.print(f"  {'; '.join(filter(None, parts))}")
 
 
+def _form(full: FullDiagnosis, form: FreeForm, out: Console) -> None:
+    out.print("Its form, as a dictionary of terms describes it:", style="bold")
+    for line in form_in_words(form):
+        out.print(f"  {typeset(line)}")
+    if full.model is not None:
+        out.print(f"  to give it a name: bench accept {full.model} --name NAME --sentence TEXT")
+
+
 def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
     gap, after = diagnosis.gap, shown.after
     if gap.opened:
@@ -179,3 +192,25 @@ def _files(full: FullDiagnosis, out: Console) -> None:
             out.print(f"{what}: {file}")
     if full.diagnosis.of_copy == "confounded" and full.model is None:
         out.print(f"no model file is written {words.why_no_model(full.diagnosis)}")
+
+
+def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
+    """Print what became of the effects of a model in new readings, and the one number."""
+    for note in notes:
+        if not quiet.get():
+            out.print(f"note: {note}")
+    for effect in found.effects:
+        for line in words.effect_now_in_words(effect):
+            out.print(line)
+    out.print(
+        f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
+        f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
+    )
+    # where the values are others, what is found beside them makes up for that
+    left = words.alike_in_words(found.diagnosis.effects)
+    if left and found.verdict == "confirmed":
+        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
+    closed = words.closed_in_words(
+        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
+    )
+    out.print(f"{source}: {found.verdict.upper()}: {closed}", style="bold")

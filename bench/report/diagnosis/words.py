@@ -8,13 +8,15 @@ from typing import Final
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import EffectNow
+from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.analysis.diagnosis.show import CoefficientChange, Shown, label
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake
-from bench.base.numbers import fixed, quantity, rounded, two_digits
+from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset
 from bench.model import CATALOGUE
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
@@ -269,7 +271,10 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
             text += f"; the data cannot tell it from {', '.join(effect.cannot_tell_from)}"
         if effect.plainer_than:
             text += f"; plainer than {', '.join(effect.plainer_than)}"
-        evidence[label(effect.applied[0])] = text
+        if effect.applied:
+            evidence[label(effect.applied[0])] = text
+    if diagnosis.form is not None:
+        evidence |= _evidence_for_form(diagnosis.form)
     evidence["gap"] = gap.reason
     if gap.opened:
         evidence["gap"] = (
@@ -284,8 +289,37 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
     return evidence
 
 
+def _evidence_for_form(form: FreeForm) -> dict[str, str]:
+    """Return what speaks for the terms of what has no name."""
+    closed = (
+        "not measured"
+        if form.closed is None
+        else f"{100 * form.closed:.0f} % of the gap on readings held out"
+    )
+    return {
+        **{term.effect.name: f"{term.family}; rho {term.rho:.1f}" for term in form.terms},
+        "closed by the unnamed terms": f"{closed}, {form.before:.3f} before, {form.after:.3f} after",
+    }
+
+
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     """Return the coefficients whose u grows with what was found, and how many times: "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
+
+
+def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
+    """Yield what became of an effect in new readings: its verdict, and its values then and now."""
+    name = label(effect.applied)
+    if effect.verdict is None:
+        yield f"{name}: these readings do not show it"
+        return
+    chances = f"{p_in_words(effect.p_same)} of the same values, {p_in_words(effect.p_none)} of none"
+    yield f"{name}: {effect.verdict} ({typeset(chances)})"
+    for was, now in zip(effect.found, effect.now, strict=True):
+        of = f" of {was.channel}" if was.channel else ""
+        u = "" if not was.u else f" ± {two_digits(was.u)}"
+        then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
+        here = _with_u(now.value, now.u or 0.0, now.unit)
+        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
