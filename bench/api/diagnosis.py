@@ -174,6 +174,7 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
             source=source.name,
             simulated=source.simulated,
             known=known,
+            stated=source.taken.stated,
         )
     except TooLittleLeft as found:
         found.bench, found.corrections = taken, source.traced.to_json()

@@ -7,7 +7,7 @@ Beside the catalogue stand unnamed families, which describe what nothing in the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -124,14 +124,16 @@ class _Collector:
             self.variants.append(Variant(family, places, channels, where=where))
 
 
-def make_candidates(linear: LinearSystem, unit_noise: float) -> Candidates:
-    """Collect all that might be missing in these readings.
+def make_candidates(
+    linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()
+) -> Candidates:
+    """Collect all that might be missing in these readings, but for effects that are `absent` from the bench.
 
     `unit_noise` is the size of the noise of a reading, unit of the signal: what is unnamed has no other scale.
     """
     collector = _Collector(linear)
     for effect in CATALOGUE.values():
-        if linear.readings.unit == "V" or not in_volts(effect):
+        if effect.name not in absent and (linear.readings.unit == "V" or not in_volts(effect)):
             _add_effect(collector, effect)
     collector.variants = [v for v in collector.variants if not _in_model(v, linear.model.effects)]
     _add_unnamed(collector, unit_noise)
