@@ -15,6 +15,7 @@ from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose
 from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
 from bench.api.origin import SUFFIX
+from bench.api.own_effects import knowing_effects_of
 from bench.api.provenance import provenance
 from bench.api.source import Source, data_sha256
 from bench.base.cache import cache_folder
@@ -99,7 +100,8 @@ class DiagnosisResult:
         """Print the diagnosis in the order in which it was made."""
         from bench.report.diagnosis.terminal import print_one
 
-        print_one(self.full, out)
+        with knowing_effects_of(self.source):
+            print_one(self.full, out)
 
     def __repr__(self) -> str:
         """Return what `bench diagnose` prints, and which bench file was taken."""
@@ -122,9 +124,9 @@ def body_of(sources: list[Source]) -> Body:
     model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
     name = " + ".join(source.name for source in sources)
     entries = tuple(entry for source in sources for entry in source.traced.entries)
-    whole = replace(
-        first, readings=readings, model=model, name=name, traced=replace(first.traced, entries=entries)
-    )
+    own = tuple(dict.fromkeys(effect for source in sources for effect in source.effects))
+    traced = replace(first.traced, entries=entries)
+    whole = replace(first, readings=readings, model=model, name=name, traced=traced, effects=own)
     return Body(whole, hashes, "diagnose-together")
 
 
@@ -165,17 +167,18 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
     readings, known = put_right(source)
     taken = source.taken.to_dict()
     try:
-        full = diagnose_fully(
-            readings,
-            source.model,
-            source.bench,
-            source.g_m_s2,
-            ThresholdCache(cache_folder("thresholds")),
-            source=source.name,
-            simulated=source.simulated,
-            known=known,
-            stated=source.taken.stated,
-        )
+        with knowing_effects_of(source):
+            full = diagnose_fully(
+                readings,
+                source.model,
+                source.bench,
+                source.g_m_s2,
+                ThresholdCache(cache_folder("thresholds")),
+                source=source.name,
+                simulated=source.simulated,
+                known=known,
+                stated=source.taken.stated,
+            )
     except TooLittleLeft as found:
         found.bench, found.corrections = taken, source.traced.to_json()
         raise
@@ -187,4 +190,5 @@ def diagnosis_page(source: Source, full: FullDiagnosis) -> str:
     from bench.report.diagnosis.page import render_diagnosis
 
     title = f"Diagnosis of {source.block_name or source.name}"
-    return render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))
+    with knowing_effects_of(source):
+        return render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))

@@ -16,6 +16,7 @@ from typing import Final
 from rich.console import Console
 
 from bench.api.errors import Refused
+from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
 from bench.api.taken import bench_path, why_taken
 from bench.api.traceability import remarks
@@ -115,6 +116,7 @@ def new_run(
     if model is not None:
         load_model(model, file.installation_models())
         inputs[MODEL] = model.read_bytes()
+    inputs |= effects_for_record()
     name = checked_name(name or _free_name(plan.name, runs))
     stated = file.unit_under_test
     serial = stated.serial if unit is None else unit.strip()
@@ -227,7 +229,8 @@ def carry_out(
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
-    bench = load_bench(run.folder / BENCH)
+    with knowing_effects_on_record(run):
+        bench = load_bench(run.folder / BENCH)
     watcher = watcher_of(run.plan, bench)
     if history:
         watcher.recall(history.taken[-MOST_RECALLED:], history.progress)
@@ -307,7 +310,8 @@ def _assembly(
             taken = [one[1] for one in (history.taken if history else ()) if one is not None]
             seed = run.manifest["seed"] or 0
             model = run.folder / MODEL
-            truth = simulated_truth(bench, model if model.is_file() else None)
+            with knowing_effects_on_record(run):
+                truth = simulated_truth(bench, model if model.is_file() else None)
             with dry_bench(bench, truth, seed, wire, haste, plan=run.plan, taken=taken) as assembly:
                 yield assembly, bar
         else:

@@ -22,6 +22,7 @@ from bench.analysis.calibration.estimators import GLS
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.api.origin import origin_beside
+from bench.api.own_effects import knowing_effects_in
 from bench.api.source import Request, Source, load_sources
 from bench.api.taken import bench_of, find_bench_file
 from bench.api.verification import Asked, VerificationResult, verification_of
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     """A readings file by path, a run by name or path, or a table in memory."""
     Bench: TypeAlias = str | Path | BenchFile | None
     """A bench file by path or name, or one at hand; None as the commands take it."""
+    Effects: TypeAlias = str | Path | Sequence[str | Path] | None
+    """Files with effects of the user's own, as formulas."""
 
 
 def load_bench(bench: str | Path) -> BenchFile:
@@ -70,6 +73,7 @@ def calibrate(
     *,
     bench: Bench = None,
     model: str | Path | None = None,
+    effects: Effects = None,
     g: float | None = None,
     estimator: str = GLS,
     nominal_angles: bool = False,
@@ -84,17 +88,19 @@ def calibrate(
     it recorded, all else with that of BENCH_FILE, a readings file with the one that the file beside it names
     (`bench export` writes it), or the shipped paper-stand; `result.bench` says which. `g` is
     local gravity in m/s² in place of the bench file's, `model` a model file with effects beside the paper's terms,
+    `effects` files with formulas of effects of the user's own,
     `runs` the folder of runs (BENCH_RUNS, or ./runs). `join_free` lets free positions (F) join by |a| = 1 g,
     `join_verification` the verification points, `nominal_angles` takes the target angles.
     """
-    (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
-    return calibration_of(
-        loaded,
-        estimator,
-        nominal_angles=nominal_angles,
-        join_free=join_free,
-        join_verification=join_verification,
-    )
+    with knowing_effects_in(effects):
+        (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+        return calibration_of(
+            loaded,
+            estimator,
+            nominal_angles=nominal_angles,
+            join_free=join_free,
+            join_verification=join_verification,
+        )
 
 
 def verify(
@@ -107,6 +113,7 @@ def verify(
     population: tuple[float, float] | None = None,
     bench: Bench = None,
     model: str | Path | None = None,
+    effects: Effects = None,
     g: float | None = None,
     skip_bad_rows: bool = False,
     runs: str | Path | None = None,
@@ -120,9 +127,10 @@ def verify(
     """
     asked = Asked(limit, rule, guard_band, population)
     asked.check()
-    (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
     taken = Path(coefficients) if isinstance(coefficients, str) else coefficients
-    return verification_of(loaded, taken, asked)
+    with knowing_effects_in(effects):
+        (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+        return verification_of(loaded, taken, asked)
 
 
 def diagnose(
@@ -130,6 +138,7 @@ def diagnose(
     *,
     bench: Bench = None,
     model: str | Path | None = None,
+    effects: Effects = None,
     g: float | None = None,
     skip_bad_rows: bool = False,
     runs: str | Path | None = None,
@@ -139,8 +148,9 @@ def diagnose(
     A list of sources is one body of readings: of one block, on one bench. All else as in `calibrate`.
     """
     sources = list(source) if isinstance(source, list | tuple) else [source]
-    body = body_of(_loaded(sources, bench, model, g, runs, skip_bad_rows=skip_bad_rows))
-    return DiagnosisResult(body.source, diagnosis_of(body.source))
+    with knowing_effects_in(effects):
+        body = body_of(_loaded(sources, bench, model, g, runs, skip_bad_rows=skip_bad_rows))
+        return DiagnosisResult(body.source, diagnosis_of(body.source))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bench.analysis.calibration import Calibration, CalibrationError
 from bench.analysis.calibration.estimators import CLOSED_FORM
 from bench.api.calibration import CalibrationResult, calibration_of
+from bench.api.own_effects import knowing_effects_of
 from bench.api.provenance import provenance
 from bench.api.source import Source
 from bench.api.verification import NOTHING_ASKED, Asked, VerificationResult, verification_of
@@ -28,7 +29,8 @@ def report_page(
         skipped=source.readings.skipped,
         simulated=source.simulated,
     )
-    return render_report(content), verdict
+    with knowing_effects_of(source):
+        return render_report(content), verdict
 
 
 def _closed_form(source: Source) -> Calibration | None:

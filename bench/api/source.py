@@ -14,7 +14,7 @@ from bench.api.taken import BenchTaken, bench_of, recorded_sha256
 from bench.api.traceability import Traced, trace
 from bench.files.bench.file import BenchFile
 from bench.files.model import ModelFile, load_model
-from bench.model import ForwardModel
+from bench.model import CATALOGUE, Effect, ForwardModel
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
 from bench.run.folder import IMPORTED, Run, find_run
@@ -55,7 +55,8 @@ class Source:
 
     `taken` says which bench file it is, and why that one; `bench` is that of the unit whose readings these are.
     `origin` is where they come from, None where nobody says it. The readings are corrected as the certificates of
-    the instruments say, of which `traced` tells; `as_read` are those that were read.
+    the instruments say, of which `traced` tells; `as_read` are those that were read. `effects` are the user's own:
+    those that were known, and those whose formulas stand in the bench file and the model file.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Source:
     request: Request
     as_read: Readings
     traced: Traced
+    effects: tuple[Effect, ...] = ()
 
     @property
     def simulated(self) -> bool:
@@ -173,15 +175,19 @@ def _load(given: Given, request: Request) -> Source:
     if gravity is None:
         raise Refused(f"{taken.where}: {NO_GRAVITY}")
     model = ForwardModel(bench.installation_models())
+    own = (*CATALOGUE.own, *bench.own_effects())
     if request.model is not None:
         file = load_model(request.model, model.installations)
         model, of_model = _of_model_file(file, readings, model)
         notes += of_model
+        own += file.own_effects()
     as_read = readings
     bench, readings, traced = trace(taken, bench, readings, told.origin)
     readings = replace(readings, notes=(*notes, *traced.notes(), *readings.notes))
     name = given if isinstance(given, str) else readings.source
-    return Source(name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced)
+    return Source(
+        name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced, own
+    )
 
 
 def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[str, ...]]:

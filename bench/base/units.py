@@ -9,9 +9,10 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import BeforeValidator
 
@@ -131,9 +132,7 @@ def _parsed(text: str, kind: QuantityKind) -> float:
     match = _QUANTITY.fullmatch(text.replace("−", "-"))
     if match is None:
         raise ValueError(f"{kind.expected}, got '{text}'")
-    unit = match["unit"]
-    for written, plain in _SPELLINGS:
-        unit = unit.replace(written, plain)
+    unit = plain_unit(match["unit"])
     if not unit and kind.si:
         raise ValueError(f"{kind.expected}, got '{text}' without a unit")
     factor = _factor_of(unit, kind, text)
@@ -154,6 +153,43 @@ def _factor_of(unit: str, kind: QuantityKind, text: str) -> float | None:
         return _factor(unit, kind.si)
     except ValueError as error:
         raise ValueError(f"{kind.expected}, got '{text}' ({error})") from None
+
+
+Dimension = tuple[tuple[str, float], ...]
+"""SI units with their powers, in order; angles and local gravity count as plain numbers."""
+
+
+def plain_unit(unit: str) -> str:
+    """Return a unit in plain letters: "µV/°" is "uV/deg"."""
+    for written, plain in _SPELLINGS:
+        unit = unit.replace(written, plain)
+    return unit
+
+
+@lru_cache(maxsize=256)
+def unit_of(unit: str) -> tuple[float, Dimension]:
+    """Return how many SI units one `unit` (in plain letters, empty for a number) is, and its dimension.
+
+    Raises `ValueError` for what is no unit.
+    """
+    if not unit:
+        return 1.0, ()
+    if _UNIT.fullmatch(unit) is None:
+        raise ValueError(f"'{unit}' is no unit; known are {', '.join(_UNITS)}")
+    _factor(unit, "")
+    dimensionality: Mapping[str, Any] = (
+        _registry().Quantity(1.0, _registry().parse_units(unit)).dimensionality
+    )
+    powers = [(_SI_OF[name], float(power)) for name, power in dimensionality.items()]
+    factor = _factor(unit, " * ".join(f"{si} ** {power:g}" for si, power in powers))
+    kept = tuple(sorted((si, power) for si, power in powers if si not in _PLAIN))
+    return (1.0 if factor is None else factor), kept
+
+
+_SI_OF: Final = {
+    "[time]": "s", "[length]": "m", "[voltage]": "V", "[celsius]": "K", "[angle]": "rad", "[gravity]": "g",
+}  # fmt: skip
+_PLAIN: Final = ("rad", "g")
 
 
 def reads(kind: QuantityKind) -> BeforeValidator:

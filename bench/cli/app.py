@@ -99,12 +99,13 @@ def expected(error: Exception) -> bool:
     """Whether an error was made to be read by a person."""
     from bench.analysis.calibration import CalibrationError
     from bench.files.bench.file import FileMistakes
+    from bench.model.effects import ExpressionError
     from bench.readings.csv import ReadingsError
     from bench.run.manifest import RecordError
     from drivers.interfaces import BenchError
 
     kinds: tuple[Any, ...] = (
-        FileMistakes, CalibrationError, ReadingsError, RecordError, BenchError,
+        FileMistakes, CalibrationError, ReadingsError, RecordError, BenchError, ExpressionError,
     )  # fmt: skip
     return isinstance(error, kinds)
 

@@ -86,9 +86,9 @@ class Commands(TyperGroup):
 
 def load_command(name: str) -> Any:
     """Import the module of a command and return what the library makes of its function."""
-    from bench.cli.options import app, with_devices
+    from bench.cli.options import app, with_own_parts
 
     word = name.replace("-", "_")
     module = import_module(f"bench.cli.{word}_" if iskeyword(word) else f"bench.cli.{word}")
     (info,) = (one for one in app.registered_commands if one.callback.__module__ == module.__name__)
-    return with_devices(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))
+    return with_own_parts(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))

@@ -28,6 +28,8 @@ from bench.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
     from bench.api.diagnosis import Body
     from bench.api.source import Request
@@ -100,8 +102,8 @@ def diagnosed(
 ) -> list[FullDiagnosis]:
     """Diagnose the sources, each by itself or all `together`; print, write JSON to `target`, and return it."""
     from bench.api.diagnosis import body_of
+    from bench.api.own_effects import knowing_effects_of
     from bench.api.source import check_places, load_sources
-    from bench.report.diagnosis.terminal import print_one, print_several
 
     printing.check_target(target)
     check_places(request)
@@ -109,19 +111,26 @@ def diagnosed(
     out = printing.console(json=target)
     loaded = load_sources(request)
     printing.bench_files(loaded, target)
-    if alone:
-        body = body_of(loaded)
-        with progress.shown():
-            results = [examined(body, accept_first=accept_first, report=report is not False)]
-    else:
-        with progress.shown():
-            results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
-    printing.write_json([one.to_dict() for one in results], target)
+    with knowing_effects_of(*loaded):
+        if alone:
+            body = body_of(loaded)
+            with progress.shown():
+                results = [examined(body, accept_first=accept_first, report=report is not False)]
+        else:
+            with progress.shown():
+                results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
+        printing.write_json([one.to_dict() for one in results], target)
+        _print(results, out, alone=alone)
+    return results
+
+
+def _print(results: list[FullDiagnosis], out: Console, *, alone: bool) -> None:
+    from bench.report.diagnosis.terminal import print_one, print_several
+
     if alone:
         print_one(results[0], out)
     else:
         print_several(results, out)
-    return results
 
 
 def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iterator[FullDiagnosis]:
@@ -144,9 +153,12 @@ def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iter
 def _one_of_several(request: Request, name: str, *, accept_first: bool, report: bool) -> FullDiagnosis:
     from bench.api.diagnosis import body_of
     from bench.api.source import load_sources
+    from bench.files.formulas import effects_in, files_of_environment
+    from bench.model import CATALOGUE
 
-    body = body_of(load_sources(replace(request, sources=[name])))
-    return examined(body, accept_first=accept_first, report=report)
+    with CATALOGUE.also(effects_in(files_of_environment())):
+        body = body_of(load_sources(replace(request, sources=[name])))
+        return examined(body, accept_first=accept_first, report=report)
 
 
 # --- one body of readings ---------------------------------------------------------------------------

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from contextvars import ContextVar, Token
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -18,11 +20,61 @@ devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default
 """The folders that `--devices` names, as they were typed."""
 
 
-def with_devices(command: Any) -> Any:
-    """Return a command with `--devices`, where it takes a bench file or has one on record."""
-    if command.name == "resume" or any(parameter.name == "bench" for parameter in command.params):
+def with_own_parts(command: Any) -> Any:
+    """Return a command with `--devices`, where it takes a bench file or has one on record, and `--effects`."""
+    takes = {parameter.name for parameter in command.params}
+    if command.name == "resume" or "bench" in takes:
         command.params.append(_devices_option())
+    if takes & {"bench", "model"}:
+        command.params.append(_effects_option())
     return command
+
+
+def _effects_option() -> Any:
+    """Return the option as the library makes it of a function's parameter."""
+    alone = typer.Typer()
+
+    @alone.command()
+    def _(
+        effects: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--effects",
+                metavar="FILE",
+                help="File with effects of your own, as formulas (default: BENCH_EFFECTS).",
+                expose_value=False,
+                callback=_use_effects,
+            ),
+        ] = None,
+    ) -> None:
+        pass
+
+    return next(option for option in typer.main.get_command(alone).params if option.name == "effects")
+
+
+def _use_effects(ctx: typer.Context, files: list[str] | None) -> None:
+    """Know the effects in files, and those that the environment names, as long as the command lasts."""
+    if ctx.resilient_parsing or not (files or os.environ.get("BENCH_EFFECTS")):
+        return
+    ctx.with_resource(_effects_of(files or ()))
+
+
+@contextmanager
+def _effects_of(files: Sequence[str]) -> Iterator[None]:
+    from bench.files.formulas import ENVIRONMENT, effects_in, files_of_environment
+    from bench.model import CATALOGUE
+
+    before = os.environ.get(ENVIRONMENT)
+    every = [*files, *files_of_environment()]
+    with CATALOGUE.also(effects_in(every)):
+        # programs that are started for a part of the work know them by it
+        os.environ[ENVIRONMENT] = os.pathsep.join(every)
+        try:
+            yield
+        finally:
+            os.environ.pop(ENVIRONMENT)
+            if before is not None:
+                os.environ[ENVIRONMENT] = before
 
 
 def _devices_option() -> Any:

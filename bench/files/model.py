@@ -3,7 +3,8 @@
 A parameter is written in any unit of its dimension, for all `channels` alike or for each:
 `K2: 60 ug/g^2`, `K2: {value: 60 ug/g^2, u: 4 ug/g^2}`, `K2: {x: 60 ug/g^2, z: {value: …, u: …}}`.
 A shape (a time constant, a width) has one value and no `u`: `tau: 20 min`. `installations: ["2"]` says which
-mountings have the effect ("2/3" is installation 2 in series 3), where not all have.
+mountings have the effect ("2/3" is installation 2 in series 3), where not all have. `formulas` holds those effects
+that are the user's own, so that whoever has the file can read it.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from pydantic import Field
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.form_mistakes import Place, unknown_word
-from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated
+from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated, part
 from bench.base.units import QuantityKind, parse_quantity
-from bench.model import CATALOGUE, AppliedEffect, Parameter
+from bench.files.formulas import FormulaEntry, effects_as_written, formula_mistakes, written_formulas
+from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
 from drivers.interfaces import Channel
 
 FORMAT: Final = "1"
@@ -61,16 +63,22 @@ class ModelFile(FileModel):
     parent: str = "paper"
     data_sha256: str | None = None
     evidence: dict[str, str] = Field(default_factory=dict)
+    formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield the mistakes in the effects."""
-        return effect_mistakes(data.get("effects") if isinstance(data, dict) else None, ("effects",))
+        """Yield the mistakes in the effects and in the formulas that they rest on."""
+        return mistakes_with_formulas(data)
+
+    def own_effects(self) -> tuple[Effect, ...]:
+        """Return the effects of the user's own whose formulas stand in the file."""
+        return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
         """Return the effects with their values in SI."""
-        return tuple(entry.applied() for entry in self.effects)
+        with CATALOGUE.also(self.own_effects()):
+            return tuple(entry.applied() for entry in self.effects)
 
 
 def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
@@ -90,6 +98,16 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 
 
 # --- reading effects --------------------------------------------------------------------------------
+
+
+def mistakes_with_formulas(data: Any, installations: Collection[str] = ()) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong with the `formulas` of a file as written, and with the `effects` that rest on them."""
+    wrong = list(formula_mistakes(part(data, "formulas"), ("formulas",)))
+    yield from wrong
+    if wrong:
+        return  # which effects there are is not known
+    with CATALOGUE.also(effects_as_written(part(data, "formulas"))):
+        yield from list(effect_mistakes(part(data, "effects"), ("effects",), installations))
 
 
 def effect_mistakes(
@@ -239,6 +257,9 @@ def write_model_file(
         content["data_sha256"] = data_sha256
     if evidence:
         content["evidence"] = {key: str(value) for key, value in evidence.items()}
+    formulas = written_formulas(applied.effect for applied in effects)
+    if formulas:
+        content["formulas"] = formulas
     content["effects"] = [_written_effect(applied) for applied in effects]
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
     try:

@@ -19,6 +19,7 @@ PLAN = "plan.json"
 BENCH = "bench.yaml"
 PROCEDURE = "procedure.yaml"
 MODEL = "model.yaml"
+EFFECTS = "effects.yaml"
 IMPORTED = "readings.csv"
 VERIFY = "verify"
 

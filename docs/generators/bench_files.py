@@ -8,7 +8,7 @@ from typing import Final
 from pydantic import BaseModel
 
 from bench.files.bench.file import BenchFile
-from docs.generators.effects import EFFECT_ENTRY_TITLE
+from docs.generators.effects import ENTRY_TITLES
 from docs.generators.forms import sections
 from docs.generators.instruments import driver_name
 
@@ -38,8 +38,8 @@ def title(model: type[BaseModel]) -> str:
     name = driver_name(model)
     if name:
         return f"Driver {name}"
-    if model.__name__ == "EffectEntry":
-        return EFFECT_ENTRY_TITLE
+    if model.__name__ in ENTRY_TITLES:
+        return ENTRY_TITLES[model.__name__]
     words = model.__name__
     for ending in _ENDINGS:
         words = words.removesuffix(ending)

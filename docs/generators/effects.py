@@ -11,7 +11,11 @@ from bench.model.effects import CATALOGUE, Effect, Parameter, Stage
 from docs.generators.forms import sections
 from docs.generators.markdown import code, prose, table
 
-EFFECT_ENTRY_TITLE: Final = "Entry of effects"
+ENTRY_TITLES: Final = {
+    "EffectEntry": "Entry of effects",
+    "FormulaEntry": "Entry of formulas",
+    "FormulaParameter": "Parameter of a formula",
+}
 
 _INTRODUCTION: Final = """\
 # Effects
@@ -47,7 +51,8 @@ effects:
 ```
 
 `installations` says which mountings have the effect (`2/3` is installation 2 in series 3). The names and
-parameters are those of the [effects](effects.md).
+parameters are those of the [effects](effects.md), or of the file's own `formulas`
+([writing an effect](../writing-an-effect.md)).
 """
 
 
@@ -105,4 +110,4 @@ def model_files_page() -> str:
 
 
 def _title(model: type[BaseModel]) -> str:
-    return "The file" if model is ModelFile else EFFECT_ENTRY_TITLE
+    return "The file" if model is ModelFile else ENTRY_TITLES[model.__name__]

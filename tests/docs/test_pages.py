@@ -190,17 +190,19 @@ def test_the_page_of_a_command_is_one_module_and_one_line(bench, wide, monkeypat
         assert not told_apart(command.shown, printed)
 
 
-def test_the_page_of_an_effect(bench, wide, monkeypatch, tmp_path):
+@pytest.mark.slow
+def test_the_page_of_an_effect(bench, wide, tmp_path):
     names = carried_out(DOCS / "writing-an-effect.md", bench)
     names["conditions_at"] = one_reading_at
     names["test_half_a_turn_pulls_by_half"]()
     effect = names["CablePull"]()
-    monkeypatch.setitem(CATALOGUE, effect.name, effect)
-    (applied,) = load_model(tmp_path / "cable.yaml").applied_effects()
-    assert float(applied.values["per_turn"]) == pytest.approx(np.radians(30 / 3600))
+    with CATALOGUE.also([effect]):
+        (applied,) = load_model(tmp_path / "stiff.yaml").applied_effects()
+    assert applied.effect is effect
+    assert float(applied.values["per_turn"]) == pytest.approx(np.radians(60 / 3600))
     args = blocks_model.Block(-2.0 * np.eye(3), np.zeros(3)), one_reading_at(np.pi / 2), np.zeros((1, 5))
     pulled = replace(MODEL, effects=(applied,)).readings(*args) - MODEL.readings(*args)
-    assert np.abs(pulled).max() == pytest.approx(2.0 * np.radians(7.5 / 3600), rel=1e-3)
+    assert np.abs(pulled).max() == pytest.approx(2.0 * np.radians(15 / 3600), rel=1e-3)
 
 
 def one_reading_at(angle_rad):

@@ -124,9 +124,7 @@ class _Collector:
             self.variants.append(Variant(family, places, channels, where=where))
 
 
-def make_candidates(
-    linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()
-) -> Candidates:
+def make_candidates(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
     """Collect all that might be missing in these readings, but for effects that are `absent` from the bench.
 
     `unit_noise` is the size of the noise of a reading, unit of the signal: what is unnamed has no other scale.

@@ -12,6 +12,7 @@ import numpy as np
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.diagnosis.alternatives import Rival, rivals
 from bench.analysis.diagnosis.course import diagnose
+from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.next_measurement import Proposal, propose
 from bench.analysis.diagnosis.result import Diagnosis, mistake_to_dict
 from bench.analysis.diagnosis.show import Shown, contradicted, show
@@ -106,6 +107,9 @@ class TooLittleLeft(CalibrationError):
             "next_measurement": None,
             "hidden": [],
             "hidden_parts": {},
+            "absent": {},
+            "unseen_per_turn": [],
+            "verification_orientation": None,
             "gap": None,
             "model": None,
             "noise": None,
@@ -136,17 +140,20 @@ def diagnose_fully(
     source: str,
     simulated: bool,
     known: Sequence[Mistake] = (),
+    stated: bool = True,
 ) -> FullDiagnosis:
     """Diagnose readings that were taken on a bench, and work out what follows; nothing is written.
 
     `source` is what they are called, `simulated` whether they come from simulated instruments, `known` mistakes
-    that are put right in them already. Raises `CalibrationError` where the readings do not determine the
+    that are put right in them already. Where nobody `stated` that the readings are of this bench, nothing is
+    concluded from what meters and head it has. Raises `CalibrationError` where the readings do not determine the
     coefficients: `TooLittleLeft` where some were known.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     nominal = np.array(bench.unit_under_test.scale_factors.values) if readings.unit == "V" else None
     try:
-        diagnosis = diagnose(readings, model, stand_u, nominal, cache)
+        there = KnownBench.of(bench) if stated else NOTHING_KNOWN
+        diagnosis = diagnose(readings, model, stand_u, nominal, cache, there)
     except CalibrationError as reason:
         if known:
             raise TooLittleLeft(known, str(reason), simulated=simulated) from reason
@@ -154,6 +161,7 @@ def diagnose_fully(
     if known:
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
         diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
+    model = diagnosis.linear.model
     shown = show(diagnosis.mistakes.corrected, model, diagnosis.applied, stand_u, g_m_s2)
     stated = contradicted(model.effects, shown.before.effects)
     return FullDiagnosis(

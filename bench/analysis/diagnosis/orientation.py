@@ -27,8 +27,8 @@ LEAST_APART: Final = 0.05
 class Orientation:
     """The verification points' `block_from_platform` (3, 3) as the signals give it, and how it differs.
 
-    `off_rad` is the turn from what the bench file states, about `axis` of the block (3,); `missed_rad` the root mean
-    square of what is left of the directions.
+    `off_rad` is the turn from what the bench file states, about `axis` of the block (3,); `missed_rad` the root
+    mean square of what is left of the directions.
     """
 
     block_from_platform: Floats
@@ -51,8 +51,8 @@ class Orientation:
         return (
             f"the verification points contradict the bench file: by their signals the block is turned by "
             f"{np.degrees(self.off_rad):.2g}° about ({axis}) of its axes from the orientation that installation V "
-            "states; the signals are believed here; correct 'installations: V' in the bench file, or name the right "
-            "one with --bench"
+            "states; the signals are believed here; correct 'installations: V' in the bench file, or name the "
+            "right one with --bench"
         )
 
 
@@ -67,9 +67,7 @@ def orientation_of(
     rows = np.flatnonzero((readings.installation == VERIFICATION) & np.isfinite(readings.angle_rad))
     if VERIFICATION not in model.installations or len(rows) < 2:
         return None
-    platform = specific_force_on_platform(
-        readings.angle_rad[rows], np.zeros((len(rows), len(STAND_ANGLES)))
-    )
+    platform = specific_force_on_platform(readings.angle_rad[rows], np.zeros((len(rows), len(STAND_ANGLES))))
     seen = force[rows] / np.linalg.norm(force[rows], axis=1, keepdims=True)
     left, sizes, right = np.linalg.svd(seen.T @ platform)
     if sizes[1] < LEAST_APART * len(rows):

@@ -56,6 +56,8 @@ def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
         "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
         "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
     }
+    if threshold.formulas():
+        hashed["formulas"] = threshold.formulas()
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())

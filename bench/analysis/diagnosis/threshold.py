@@ -17,6 +17,7 @@ from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.noise_grid import RATIOS
 from bench.base.arrays import Floats
 from bench.model import CATALOGUE
+from bench.model.effects import FormulaEffect
 
 NULLS: Final = 2000
 SEED: Final = 20260
@@ -142,12 +143,21 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         round(float(np.log(whitened.grid.sigma / scale)) * 10),
         round(setting_rad * 1e9),
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
-        CATALOGUE_TEXT,
+        repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
         (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
     ]
+    parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 
 
 DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
-CATALOGUE_TEXT: Final = repr([(name, effect.parameters) for name, effect in CATALOGUE.items()])
+
+
+def formulas() -> list[str]:
+    """Return the formulas of the effects that are stated as one: their parameters do not tell all of them."""
+    return [
+        f"{effect.name}, {effect.stage} {effect.adds_to}: {effect.expression}"
+        for effect in CATALOGUE.values()
+        if isinstance(effect, FormulaEffect)
+    ]

@@ -36,8 +36,9 @@ from bench.files.bench.stand import (
     VerificationSection,
 )
 from bench.files.bench.uncertainty import UncertaintySection
-from bench.files.model import EffectEntry, effect_mistakes
-from bench.model import STAND_ANGLES, AppliedEffect, Block, Distribution, Installation
+from bench.files.formulas import FormulaEntry
+from bench.files.model import EffectEntry, mistakes_with_formulas
+from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Distribution, Effect, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.model.gravity import normal_gravity_m_s2
 
@@ -60,6 +61,7 @@ class BenchFile(FileModel):
     unit_under_test: UnitUnderTest
     verification: VerificationSection
     uncertainty: UncertaintySection = UncertaintySection()
+    formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     simulation: SimulationSection = SimulationSection()
 
@@ -76,7 +78,7 @@ class BenchFile(FileModel):
         yield from mistakes_between_parts(data)
         stated = part(data, "installations")
         labels = {"1", "2", *(map(str, stated) if isinstance(stated, dict) else ())}
-        yield from effect_mistakes(part(data, "effects"), ("effects",), labels)
+        yield from mistakes_with_formulas(data, labels)
 
     @property
     def gravity_m_s2(self) -> float | None:
@@ -156,7 +158,12 @@ class BenchFile(FileModel):
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
         """Return the effects that the simulated bench has; no calibration knows of them."""
-        return tuple(entry.applied() for entry in self.effects)
+        with CATALOGUE.also(self.own_effects()):
+            return tuple(entry.applied() for entry in self.effects)
+
+    def own_effects(self) -> tuple[Effect, ...]:
+        """Return the effects whose formulas the file states: a diagnosis looks for them, too."""
+        return tuple(entry.effect() for entry in self.formulas)
 
     def nominal_block(self) -> Block:
         """Return the block as it is announced: its nominal scale factors, nothing across, no bias."""

@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import ClassVar
 
 import numpy as np
 
@@ -88,16 +87,16 @@ class Effect(ABC):
     depends on the rows before it, `needs_path` where it depends on how the head came there.
     """
 
-    name: ClassVar[str]
-    stage: ClassVar[Stage]
-    subsystem: ClassVar[Subsystem]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    sentence: ClassVar[str]
-    shown_by: ClassVar[str]
-    per_mount: ClassVar[bool] = False
-    lasts: ClassVar[bool] = False
-    needs_history: ClassVar[bool] = False
-    needs_path: ClassVar[bool] = False
+    name: str
+    stage: Stage
+    subsystem: Subsystem
+    parameters: tuple[Parameter, ...]
+    sentence: str
+    shown_by: str
+    per_mount: bool = False
+    lasts: bool = False
+    needs_history: bool = False
+    needs_path: bool = False
 
     @abstractmethod
     def addition(self, values: Values, seen: Seen) -> Floats:

@@ -1,0 +1,281 @@
+"""Effects of the user's own, as a file states them: a stage, parameters with their plausible size, an expression.
+
+They stand in a file of their own (`--effects FILE`), and in the model files and bench files that need them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator, Field
+
+from bench.base.form_mistakes import Place
+from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated, part
+from bench.base.units import plain_unit, unit_of
+from bench.files.dimensions import dimension_mistake
+from bench.model import CATALOGUE, Effect, Parameter, Stage, Subsystem
+from bench.model.effects import ExpressionError, FormulaEffect
+from bench.model.effects.expression import known_functions, names_in
+from bench.model.effects.formula import SUBSYSTEM_OF, variables_of
+
+FORMAT: Final = "1"
+ENVIRONMENT: Final = "BENCH_EFFECTS"
+"""Files with effects of the user's own, several with the system's path separator."""
+
+_QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+StandAngle = Literal["axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll"]
+
+
+def _word(text: str) -> str:
+    if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", text) is None:
+        raise ValueError(f"expected small letters, digits and _, a letter first, got '{text}'")
+    return text
+
+
+def _symbol(text: str) -> str:
+    if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", text) is None:
+        raise ValueError(f"expected a name as a formula has it (letters, digits, _), got '{text}'")
+    return text
+
+
+class FormulaParameter(FileModel):
+    """A number of a formula: a size with what is `plausible` of it (1 σ), or a shape with a `grid` of values.
+
+    Readings are not linear in a shape (a time constant, a width): a diagnosis tries the grid, a fit holds it at
+    one value, `default` where nobody states it. A size may have a value for each channel.
+    """
+
+    plausible: str | None = None
+    grid: tuple[str, ...] = ()
+    default: str | None = None
+    per_channel: bool | None = None
+
+
+class FormulaEntry(FileModel):
+    """An effect of the user's own.
+
+    `expression` is what it adds at its `stage`: rad at the stand (to the angle `adds_to`) and at the head's
+    angle, g of the specific force, g at the block's output (the scale factor makes volts of it), V at the
+    voltmeter.
+    """
+
+    name: Annotated[str, AfterValidator(_word)]
+    sentence: str
+    stage: Stage
+    adds_to: StandAngle | None = None
+    expression: str
+    parameters: dict[Annotated[str, AfterValidator(_symbol)], FormulaParameter] = Field(min_length=1)
+    shown_by: str | None = None
+    subsystem: Subsystem | None = None
+    per_mount: bool = False
+    lasts: bool = False
+
+    def effect(self) -> FormulaEffect:
+        """Return the effect. Raises `ValueError` with what is wrong between its parts."""
+        taken = set(variables_of(self.stage)).union(known_functions()).intersection(self.parameters)
+        if taken:
+            raise ValueError(f"'{min(taken)}' is a word of the formulas; give the parameter another name")
+        parameters = tuple(_parameter(name, stated, self.stage) for name, stated in self.parameters.items())
+        made = FormulaEffect(
+            name=self.name,
+            stage=self.stage,
+            subsystem=self.subsystem or SUBSYSTEM_OF[self.stage],
+            parameters=parameters,
+            sentence=self.sentence,
+            shown_by=self.shown_by or _shown_by(self),
+            expression=self.expression,
+            adds_to=self.adds_to or "",
+            per_mount=self.per_mount or self.lasts,
+            lasts=self.lasts,
+        )
+        problem = dimension_mistake(made)
+        if problem:
+            raise ExpressionError(problem)
+        return made
+
+
+class EffectsFile(FileModel):
+    """A file with effects of the user's own."""
+
+    effects_file: Literal["1"]
+    formulas: tuple[FormulaEntry, ...] = Field(min_length=1)
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield what is wrong with the formulas."""
+        return formula_mistakes(part(data, "formulas"), ("formulas",))
+
+
+def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong between the parts of formulas, and between them and the catalogue."""
+    seen: dict[str, int] = {}
+    for index, entry in _readable(entries):
+        here = (*place, index)
+        try:
+            effect = entry.effect()
+        except ExpressionError as error:
+            yield (*here, "expression"), str(error)
+            continue
+        except ValueError as error:
+            yield (*here, "parameters"), str(error)
+            continue
+        if effect.name in seen:
+            yield (*here, "name"), f"two formulas have the name {effect.name}"
+        seen.setdefault(effect.name, index)
+        try:
+            with CATALOGUE.also([effect]):
+                pass
+        except ValueError as error:
+            yield (*here, "name"), str(error)
+
+
+def _readable(entries: Any) -> Iterator[tuple[int, FormulaEntry]]:
+    """Yield the entries that are what they should be as far as one looks at each key alone."""
+    for index, written in enumerate(entries if isinstance(entries, list) else []):
+        try:
+            yield index, FormulaEntry.model_validate(written)
+        except ValueError:  # it is told where the file is validated
+            continue
+
+
+def effects_as_written(entries: Any) -> tuple[Effect, ...]:
+    """Return the effects of a list of formulas as written, without those that are wrong."""
+    effects: list[Effect] = []
+    for _, entry in _readable(entries):
+        try:
+            effects.append(entry.effect())
+        except ValueError:
+            continue
+    return tuple(effects)
+
+
+def load_effects(path: Path) -> tuple[Effect, ...]:
+    """Read a file with effects of the user's own. Raises `FileMistakes` with every mistake in it."""
+    return tuple(entry.effect() for entry in load_validated(path, EffectsFile).formulas)
+
+
+def effects_in(paths: Iterable[Path | str]) -> tuple[Effect, ...]:
+    """Return the effects of several files. Raises `FileMistakes`, also where two of one name differ."""
+    effects: dict[str, Effect] = {}
+    for path in map(Path, paths):
+        for effect in load_effects(path):
+            if effects.setdefault(effect.name, effect) != effect:
+                text = f"another file has another formula of the name {effect.name}; give one of them another name"
+                raise FileMistakes(path, [FileMistake(0, "formulas", text)])
+    return tuple(effects.values())
+
+
+def files_of_environment() -> list[str]:
+    """Return the files that the environment names."""
+    return [file for file in os.environ.get(ENVIRONMENT, "").split(os.pathsep) if file]
+
+
+def _shown_by(entry: FormulaEntry) -> str:
+    variables = [name for name in names_in(entry.expression) if name not in entry.parameters and name != "pi"]
+    return (
+        f"a run over which more changes of: {', '.join(variables)}" if variables else "a return to the start"
+    )
+
+
+# --- parameters -------------------------------------------------------------------------------------
+
+
+def _parameter(name: str, stated: FormulaParameter, stage: Stage) -> Parameter:
+    """Return a parameter. Raises `ValueError` with one sentence."""
+    if stated.grid and stated.plausible is not None:
+        raise ValueError(f"{name}: a size has a plausible value, a shape a grid; give one of the two")
+    if stated.grid:
+        return _shape(name, stated)
+    if stated.plausible is None:
+        raise ValueError(
+            f"{name}: give its plausible size, such as plausible: 20 arcsec, or a grid of values"
+        )
+    if stated.default is not None:
+        raise ValueError(f"{name}: 'default' belongs to a shape, which has a grid")
+    number, unit = _number(name, stated.plausible)
+    channels = stage not in {Stage.STAND, Stage.HEAD_ANGLE}
+    if stated.per_channel and not channels:
+        raise ValueError(f"{name}: an effect of the stage '{stage}' has no value for each channel")
+    if number <= 0.0:
+        raise ValueError(f"{name}: a plausible size is more than nothing, got '{stated.plausible}'")
+    of_each = stage is Stage.BLOCK_OUTPUT if stated.per_channel is None else stated.per_channel
+    si = unit_of(unit)[0]
+    return Parameter(name, unit or "1", si, number * si, per_channel=of_each)
+
+
+def _shape(name: str, stated: FormulaParameter) -> Parameter:
+    if stated.per_channel:
+        raise ValueError(f"{name}: a shape has one value for all channels")
+    numbers = [_number(name, text) for text in stated.grid]
+    units = [unit_of(unit) for _, unit in numbers]
+    if len({dimension for _, dimension in units}) > 1:
+        raise ValueError(f"{name}: the values of the grid have units of different kinds")
+    grid = tuple(number * si for (number, _), (si, _) in zip(numbers, units, strict=True))
+    if min(grid) < 0.0:
+        raise ValueError(f"{name}: a shape is not negative")
+    default = grid[len(grid) // 2]
+    if stated.default is not None:
+        number, unit = _number(name, stated.default)
+        default = number * unit_of(unit)[0]
+    if default not in grid:
+        raise ValueError(f"{name}: the default is not in the grid")
+    unit, si = numbers[0][1], units[0][0]
+    return Parameter(name, unit or "1", si, max(grid), per_channel=False, grid=grid, default=default)
+
+
+def _number(name: str, text: str) -> tuple[float, str]:
+    match = _QUANTITY.fullmatch(text.replace("−", "-"))
+    if match is None:
+        raise ValueError(f"{name}: expected a number with its unit, such as '20 arcsec', got '{text}'")
+    try:
+        unit = plain_unit(match[2])
+        unit_of(unit)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    return float(match[1]), unit
+
+
+# --- writing ----------------------------------------------------------------------------------------
+
+
+def written_formulas(effects: Iterable[Effect]) -> list[dict[str, Any]]:
+    """Return the formulas among effects as a file states them, each once."""
+    formulas = {effect.name: effect for effect in effects if isinstance(effect, FormulaEffect)}
+    return [_written(effect) for effect in formulas.values()]
+
+
+def effects_text(effects: Sequence[Effect]) -> dict[str, Any]:
+    """Return the content of a file with these formulas."""
+    return {"effects_file": int(FORMAT), "formulas": written_formulas(effects)}
+
+
+def _written(effect: FormulaEffect) -> dict[str, Any]:
+    entry: dict[str, Any] = {"name": effect.name, "sentence": effect.sentence, "shown_by": effect.shown_by}
+    entry |= {"stage": effect.stage.value, "subsystem": effect.subsystem.value}
+    if effect.adds_to:
+        entry["adds_to"] = effect.adds_to
+    entry |= {key: True for key in ("per_mount", "lasts") if getattr(effect, key)}
+    parameters = {parameter.name: _written_parameter(parameter) for parameter in effect.parameters}
+    return entry | {"expression": effect.expression, "parameters": parameters}
+
+
+def _written_parameter(parameter: Parameter) -> Mapping[str, Any]:
+    unit = "" if parameter.unit == "1" else parameter.unit
+
+    def text(si: float) -> str:
+        return f"{_exact(si, parameter.si_per_unit)!r} {unit}".strip()
+
+    if parameter.is_shape:
+        return {"grid": [text(value) for value in parameter.grid], "default": text(parameter.default)}
+    return {"plausible": text(parameter.plausible), "per_channel": parameter.per_channel}
+
+
+def _exact(si: float, unit: float) -> float:
+    """Return the number that is read back as the same SI value, the shortest of those that are near."""
+    plain = si / unit
+    near = (float(f"{plain:.{digits}g}") for digits in range(1, 18))
+    return next((number for number in near if number * unit == si), plain)
