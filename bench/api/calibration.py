@@ -85,7 +85,7 @@ class CalibrationResult:
         return Coefficients(
             own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit, self.source.simulated,
             own.covariance_same_meters if own.sources else None, self.source.meters, own.gravity_u,
-            self.source.made_at or "",
+            self.source.made_at or "", own.block_terms if own.sources else None, own.wander,
         )  # fmt: skip
 
     @property

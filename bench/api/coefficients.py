@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.api.errors import Refused
-from bench.base.arrays import Floats
+from bench.base.arrays import CHANNELS, Floats
 from bench.base.form_mistakes import shortened
 from bench.base.regular import read_given
 from bench.base.whole import from_text
@@ -36,7 +36,8 @@ class Coefficients:
 
     `simulated` tells that they were found on simulated instruments. `same_meters` (12, 12) is the covariance
     without what cancels where the same meters read the block, `meters` are their identities; results of older
-    days have neither.
+    days have neither. `block_terms` (12, q) is what K2 and K3 of the block, one u large, add, `wander` (3,) how far
+    its biases may wander during a run.
     """
 
     block: Block
@@ -49,6 +50,8 @@ class Coefficients:
     meters: tuple[str, ...] = ()
     gravity_u: float = 0.0
     made_at: str = ""
+    block_terms: Floats | None = None
+    wander: Floats | None = None
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
@@ -105,6 +108,8 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         meters,
         _positive(data.get("gravity_u")),
         _text(data.get("made_at")),
+        _block_terms(data, where),
+        _wander(data),
     )
 
 
@@ -191,6 +196,29 @@ def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
         raise Refused(f"{where}: not a result of 'bench calibrate --json': its {name}: {error}") from error
     _refuse_impossible(covariance, where)
     return covariance
+
+
+def _block_terms(data: Any, where: str) -> Floats | None:
+    """Return what K2 and K3 add (12, q); None where the result has no such part. Raises `Refused`."""
+    if data.get("block_terms") is None:
+        return None
+    try:
+        rows = [[_number(entry) for entry in row] for row in data["block_terms"]]
+    except (ValueError, TypeError) as error:
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json': its block_terms: {error}"
+        ) from error
+    if any(len(row) != len(COEFFICIENTS) for row in rows):
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json': its block_terms have not 12 columns"
+        )
+    return np.array(rows).reshape(-1, len(COEFFICIENTS)).T
+
+
+def _wander(data: Any) -> Floats | None:
+    """Return how far the biases may wander during a run (3,); None where the result does not say."""
+    stated = data["noise"].get("wander")
+    return np.array([_positive(stated.get(c)) for c in CHANNELS]) if isinstance(stated, dict) else None
 
 
 def _covariance(data: Any, name: str) -> Floats:

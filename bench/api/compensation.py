@@ -10,7 +10,7 @@ import numpy as np
 from bench.analysis.budget.sources import assumed_stand
 from bench.analysis.budget.whole import sign
 from bench.analysis.calibration import calibrate
-from bench.analysis.calibration.result import SourceOfError
+from bench.analysis.calibration.source_of_error import SourceOfError
 from bench.analysis.temperature.model import TemperatureModel
 from bench.api.source import Source
 from bench.base.arrays import Floats

@@ -157,6 +157,14 @@ def data_sha256(readings: Readings) -> str:
     return sha256(format_csv(readings).encode())
 
 
+def _knows(stated: str | None, readings: Readings) -> bool:
+    """Whether these readings are among those of a model file's hashes; earlier versions hashed every bit."""
+    hashes = (stated or "").split()
+    return bool(hashes) and (
+        data_sha256(readings) in hashes or sha256(format_csv(readings, to_the_bit=True).encode()) in hashes
+    )
+
+
 def _load(given: Given, request: Request) -> Source:
     run = _run_of(given, request.runs) if isinstance(given, str) else None
     told = Told()
@@ -222,7 +230,7 @@ def _of_model_file(
     Its values have then seen the readings: as priors they would count them twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
-    if data_sha256(readings) not in (file.data_sha256 or "").split():
+    if not _knows(file.data_sha256, readings):
         return model, ()
     note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
     return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note,)

@@ -284,7 +284,7 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
     for covariance, same, weight in ((known, True, 1.0 - part), (taken.covariance, False, part)):
         found = delta_g_elsewhere(
             taken.block, covariance, np.full(3, taken.noise), source.readings, source.bench, source.model,
-            same_meters=same, day=source.traced.day,
+            same_meters=same, day=source.traced.day, block_terms=taken.block_terms,
         )  # fmt: skip
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:

@@ -102,6 +102,8 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
             source.simulated,
             result.covariance_same_meters,
             source.meters,
+            result.block_terms if result.sources else None,
+            result.wander,
         )
     ]
 
@@ -139,6 +141,8 @@ def _from_result(data: Any, path: Path, number: int) -> Snapshot:
         found.simulated,
         found.same_meters,
         found.meters,
+        found.block_terms,
+        found.wander,
     )
 
 

@@ -170,7 +170,9 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
 
     full = diagnosis_of(body.source)
     full = replace(full, copy=_written_copy(body, full))
-    if full.diagnosis.of_copy in ({"named", "confounded"} if accept_first else {"named"}):
+    verdict, shrinks = full.diagnosis.of_copy, full.diagnosis.gap.shrinks
+    # what makes the gap no smaller is no better model, whoever accepts it
+    if verdict == "named" or (accept_first and verdict == "confounded" and shrinks is not False):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:
         try:

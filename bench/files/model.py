@@ -3,8 +3,8 @@
 A parameter is written in any unit of its dimension, for all `channels` alike or for each:
 `K2: 60 ug/g^2`, `K2: {value: 60 ug/g^2, u: 4 ug/g^2}`, `K2: {x: 60 ug/g^2, z: {value: …, u: …}}`.
 A shape (a time constant, a width) has one value and no `u`: `tau: 20 min`. `installations: ["2"]` says which
-mountings have the effect ("2/3" is installation 2 in series 3), where not all have. `formulas` holds those effects
-that are the user's own, so that whoever has the file can read it.
+mountings have the effect ("2/3" is installation 2 in series 3, "2 pass 1" its first pass), where not all have.
+`formulas` holds those effects that are the user's own, so that whoever has the file can read it.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validate
 from bench.base.units import QuantityKind, parse_quantity
 from bench.files.formulas import FormulaEntry, effects_as_written, formula_mistakes, written_formulas
 from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
+from bench.model.effects.base import PASS, pass_label
 from drivers.interfaces import Channel
 
 FORMAT: Final = "1"
@@ -155,12 +156,15 @@ def effect_mistakes(
 
 def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -> Iterator[str]:
     """Yield a sentence for each mounting, such as "2" or "2/3" (of series 3), of an unknown installation."""
-    for mounting in written:
+    for written_one in written:
+        mounting, of_pass, number = written_one.partition(PASS)
         label, slash, series = mounting.partition("/")
         if label not in installations:
             yield unknown_word(label, sorted(installations), "installation")
         elif slash and not (series.isdecimal() and int(series) > 1):
             yield f"expected a series from 2 on after the slash, such as '{label}/2', got '{mounting}'"
+        elif of_pass and not number.isdecimal():
+            yield f"expected the number of a pass, such as '{pass_label(mounting, 2)}', got '{written_one}'"
 
 
 def _channels(written: Any) -> tuple[Channel, ...]:

@@ -14,6 +14,7 @@ from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C, Run, Weather
 from benchmarks.blind_trial.effects import CATALOGUE, CLASS_OF, HIDDEN, OUTSIDE, SEEN_IN_VERIFICATION, STAND
 from benchmarks.blind_trial.geometry import Floats
 from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
+from benchmarks.blind_trial.noises import COARSE, draw
 from benchmarks.blind_trial.signals import (
     SETTING_SIGMA,
     STAND_SIGMA,
@@ -23,6 +24,7 @@ from benchmarks.blind_trial.signals import (
     signature,
     visibility,
 )
+from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.truth import CHANNELS, Draw, Truth
 
 READING_NOISE_V: Final = 15e-6
@@ -37,8 +39,9 @@ TRIES: Final = 5
 class Row:
     """One row of the score table: what is hidden, in which design, how visible, at which noise, how often.
 
-    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll or mistake:NAME. `noise_v` is what
-    the bench states, `noise_factor` how many times that the truth is (readings and settings alike).
+    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS` or mistake:NAME.
+    `noise_v` is what the bench states, `noise_factor` how many times that the truth is (readings and settings
+    alike), `noise` which kind it is of (`NOISES`).
     """
 
     kind: str
@@ -47,13 +50,15 @@ class Row:
     noise_v: float = READING_NOISE_V
     noise_factor: float = 1.0
     count: int = 100
+    noise: str = "equal"
 
     @property
     def key(self) -> str:
         """What the row is called in tables and in seeds."""
         visible = "" if self.rho is None else f" rho {self.rho:g}"
         factor = "" if self.noise_factor == 1 else f" x{self.noise_factor:g}"
-        return f"{self.kind} {self.design}{visible} {self.noise_v * 1e6:g} uV{factor}"
+        noise = "" if self.noise == "equal" else f", {self.noise}"
+        return f"{self.kind} {self.design}{visible} {self.noise_v * 1e6:g} uV{factor}{noise}"
 
 
 @dataclass(frozen=True)
@@ -195,6 +200,8 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
             return [_scaled(rng, row, run, seen, _equal_k2)]
         case "mounting_roll":
             return [_scaled(rng, row, run, seen, STAND[SEEN_IN_VERIFICATION])]
+        case kind if kind in SLIPS:
+            return [_scaled(rng, row, run, seen, SLIPS[kind])]
         case _:
             raise ValueError(f"No such kind of case: {row.kind}.")
 
@@ -240,6 +247,14 @@ def _attempt(
     return None
 
 
+def _rounded(signal: Floats, row: Row) -> Floats:
+    """Return signals with their last digit, or in steps that are coarser than the noise."""
+    if row.noise != "coarse":
+        return np.round(signal, DECIMALS)
+    step = COARSE * row.noise_v * row.noise_factor
+    return np.asarray(np.round(np.round(signal / step) * step, DECIMALS + 2))
+
+
 def _measure(
     rng: np.random.Generator, row: Row, run: Run, truths: list[Truth], mistake: Mistake | None
 ) -> Readings:
@@ -247,7 +262,7 @@ def _measure(
     n = len(run.mount)
     stand = rng.normal(size=(int(run.mount.max()) + 1, 3)) * STAND_SIGMA
     setting = rng.normal(0, SETTING_SIGMA * row.noise_factor, n)
-    noise = rng.normal(0, row.noise_v * row.noise_factor, (n, 3))
+    noise = draw(rng, row.noise, n) * row.noise_v * row.noise_factor
     signal = signals(run, truths, stand, setting, None if mistake is None else mistake.true_angle) + noise
     labels = run.labels
     if mistake is not None:
@@ -258,7 +273,7 @@ def _measure(
         run.pass_number.tolist(),
         run.point.tolist(),
         run.angle,
-        np.round(signal, DECIMALS),
+        _rounded(signal, row),
         source="blind trial",
         target_rad=run.angle,
         series=run.series.tolist(),

@@ -23,7 +23,8 @@ from typing import Final
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case, seal
 from benchmarks.blind_trial.mistakes import MISTAKES
-from benchmarks.blind_trial.page import stored, tables, write
+from benchmarks.blind_trial.noises import NOISES
+from benchmarks.blind_trial.page import stored, sums, tables, write
 from benchmarks.blind_trial.score import (
     Diagnose,
     Marks,
@@ -34,9 +35,15 @@ from benchmarks.blind_trial.score import (
     run_trial,
     tally,
 )
+from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
 
 QUIETER_RHO: Final = (5, 6, 8, 10, 15, 20)
+
+RETURNS: Final = ("slip:visit", "rezero:visit")
+"""What only a return to an installation shows."""
+LARGE_RHO: Final = 600.0
+"""A slip of about 10 arcmin out of the plane of rotation, of 1 deg in it."""
 
 FULL: Final[tuple[Row, ...]] = (
     Row("null", count=800),
@@ -46,6 +53,12 @@ FULL: Final[tuple[Row, ...]] = (
     Row("null", noise_factor=1.3, count=300),
     Row("null", "both", count=300),
     Row("null", "turn-12", count=300),
+    *(Row("null", noise=noise, count=600) for noise in NOISES[1:]),
+    *(
+        Row(kind, "return" if kind in RETURNS else "paper", rho)
+        for kind in SLIPS
+        for rho in (8, 30, LARGE_RHO)
+    ),
     *(Row("single", rho=rho, count=150) for rho in QUIETER_RHO),
     *(Row("single", design, rho) for design in ("both", "turn-12") for rho in QUIETER_RHO),
     *(Row("single", design, 10) for design in ("return", "remount-180", "reordered")),
@@ -72,6 +85,8 @@ SHORT: Final[tuple[Row, ...]] = (
     Row("hidden", count=10),
     Row("equal_k2", rho=12, count=5),
     Row("mounting_roll", rho=10, count=5),
+    *(Row("null", noise=noise, count=10) for noise in NOISES[1:]),
+    *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),
     *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
 )
 
@@ -167,6 +182,7 @@ def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) 
     seconds = round(time.perf_counter() - start)
     result = stored(rows, shares, outcomes, _made(given, seconds))
     print(tables(result), file=report)
+    print("\n" + "\n".join(sums(result)), file=report)
     print(f"\n{len(tasks)} cases, seed {given.seed}, {seconds} s", file=report)
     if given.page:
         write(result)

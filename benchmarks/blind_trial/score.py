@@ -14,6 +14,7 @@ from scipy.stats import binomtest, chi2
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
 from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
 from benchmarks.blind_trial.signals import U0, K
+from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
 
 Diagnosis = dict[str, Any]
@@ -109,6 +110,28 @@ def judge(
     Only what applies is there: a name alone is judged where one was given. `likeness` gives the largest
     cosine of an effect outside the catalogue to a member of it; those above 0.8 are counted apart.
     """
+    marks = _judge_kind(case, answer, diagnosis, can_tell, likeness)
+    if diagnosis["verdict"] == "named":
+        marks[NOT_SHRUNK] = not _shrank(diagnosis["gap"])
+    return marks
+
+
+def _shrank(gap: dict[str, Any]) -> bool:
+    """Say whether both sizes of the gap on readings held out are there and smaller than before."""
+    sizes = [(gap.get(f"before{of}"), gap.get(f"after{of}")) for of in ("", "_rms")]
+    return all(before is not None and after is not None and after < before for before, after in sizes)
+
+
+NOT_SHRUNK: Final = "named, the gap not smaller"
+
+
+def _judge_kind(
+    case: Case,
+    answer: Answer,
+    diagnosis: Diagnosis,
+    can_tell: CanTell,
+    likeness: Callable[[Answer], float] | None,
+) -> Marks:
     verdict = diagnosis["verdict"]
     kind = answer.kind.split(":")[0]
     if kind == "null":
@@ -125,6 +148,8 @@ def judge(
             f"flagged unknown{apart}": verdict == "unknown",
             f"given a single name{apart}": verdict == "named",
         }
+    if answer.kind in SLIPS:
+        return _judge_slip(answer, diagnosis)
     if kind == "pair":
         return _judge_pair(answer, diagnosis)
     return _judge_single(case, answer, diagnosis, can_tell)
@@ -145,6 +170,17 @@ def _judge_mistake(answer: Answer, diagnosis: Diagnosis) -> Marks:
         "mistake found": found,
         "first name right": found and first in answer.accepted,
         "in the set": found and any(not names.isdisjoint(answer.accepted) for names in sets),
+    }
+
+
+def _judge_slip(answer: Answer, diagnosis: Diagnosis) -> Marks:
+    sets = sets_given(diagnosis)
+    return {
+        "detected": diagnosis["verdict"] != "agrees",
+        "mistake alleged": diagnosis["verdict"] == "mistake",
+        "in the set": any(answer.names[0] in names for names in sets),
+        "nothing without it": all(answer.names[0] in names for names in sets),
+        "alone given": diagnosis["verdict"] == "named",
     }
 
 

@@ -50,7 +50,8 @@ effects:
     parameters: {A: 150 ug, tau: 20 min}
 ```
 
-`installations` says which mountings have the effect (`2/3` is installation 2 in series 3). The names and
+`installations` says which mountings have the effect (`2/3` is installation 2 in series 3, `2 pass 1` the first
+pass in installation 2; the simulated bench knows of no passes). The names and
 parameters are those of the [effects](effects.md), or of the file's own `formulas`
 ([writing an effect](../writing-an-effect.md)).
 """

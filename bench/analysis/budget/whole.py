@@ -19,7 +19,8 @@ from bench.analysis.budget.propagation import effective_dof
 from bench.analysis.budget.setup import meters_of
 from bench.analysis.budget.sources import ROLL_ORIGIN, ErrorSource, assumed_stand, hidden_sources
 from bench.analysis.calibration.components import walk_since
-from bench.analysis.calibration.result import Calibration, SourceOfError
+from bench.analysis.calibration.result import Calibration
+from bench.analysis.calibration.source_of_error import SourceOfError
 from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
 from bench.files.bench.file import BenchFile
@@ -29,6 +30,8 @@ from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 GRAVITY: Final = "gravity"
 METERS: Final = ("voltmeter_gain", "voltmeter_offset")
 """Errors that act alike wherever the same meters read the block."""
+OF_BLOCK: Final = ("K2", "K3")
+"""Errors that the block brings to every calibration and check of it."""
 VOLTS: Final = "V"
 
 
@@ -113,13 +116,14 @@ _NO_VOLTS: Final = (
 
 def delta_g_elsewhere(
     block: Block, covariance: Floats, noise: Floats, readings: Readings, bench: BenchFile, model: ForwardModel,
-    *, same_meters: bool, day: date | None = None,
+    *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
 ) -> Floats:  # fmt: skip
     """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day.
 
     In the local g of the coefficients. `covariance` (12, 12) and `noise` (3,) are those of the coefficients,
     without the meters' gain and offset where they are the `same_meters` as here: then these cancel; else those here
-    come on top. What else acts on the readings at the points counts in full.
+    come on top. `block_terms` (12, q) are those of `Calibration`: what K2 and K3 did to the coefficients they do to
+    the readings at the points as well. What else acts there counts in full.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = Taken(readings, block, _meters(bench), np.zeros((len(readings), 3)))
@@ -129,10 +133,17 @@ def delta_g_elsewhere(
         return np.asarray(whole)
     functionals = np.zeros((len(rows), len(readings), 3))
     functionals[np.arange(len(rows)), rows] = by_signal
+    of_block = np.zeros((len(rows), 0))
     for error in hidden_sources(bench, model, day):
-        if error.name != GRAVITY and not (same_meters and error.kind in METERS):
-            parts = parts_of(error, taken, functionals)
-            whole += parts @ parts.T
+        if error.name == GRAVITY or (same_meters and error.kind in METERS):
+            continue
+        parts = parts_of(error, taken, functionals)
+        whole += parts @ parts.T
+        if error.kind in OF_BLOCK:
+            of_block = np.concatenate([of_block, parts], axis=1)
+    if block_terms is not None and block_terms.shape[1] == of_block.shape[1]:
+        across = of_block @ (by_coefficient @ block_terms).T
+        whole += across + across.T
     return np.asarray(whole)
 
 
@@ -194,7 +205,7 @@ def _source(error: ErrorSource, taken: Taken, gain: Floats) -> SourceOfError:
     parts = parts_of(error, taken, gain)
     return SourceOfError(
         error.name, error.symbol, error.shown, error.origin, error.prior, error.dof, parts @ parts.T,
-        cancels=error.kind in METERS,
+        cancels=error.kind in METERS, of_block=parts if error.kind in OF_BLOCK else None,
     )  # fmt: skip
 
 

@@ -97,6 +97,7 @@ def calibrate(
         slope=_whole(fit.slope, chosen, len(readings)),
         shared=shared.components,
         drift=shared.drift,
+        wander=shared.wander,
         birge=birge,
         p_tails=tails,
         noise=fit.noise,

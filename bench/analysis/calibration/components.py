@@ -90,13 +90,16 @@ class Drift:
 class Shared:
     """A fit that holds what its readings share, the components that were taken in, and the drift if one was.
 
-    `covariance` (3n + m, 3n + m) is that of the readings then; None where each is as the noise says.
+    `covariance` (3n + m, 3n + m) is that of the readings then; None where each is as the noise says. `wander` (3,),
+    unit, is how far each bias may wander about its mean over the run, rms: as found, or as the readings leave open
+    where they ask for no drift; None where it was not searched for.
     """
 
     fit: Fit
     components: tuple[Component, ...] = ()
     drift: Drift | None = None
     covariance: Floats | None = None
+    wander: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -135,10 +138,11 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
     if not fit.noise.setting_rad > 0:
         start[len(basic) - 1] = 0.0
     base = len(basic)
-    chance = asked_for(Projection.at(mixed, start), mixed.columns, base)
+    asked = asked_for(Projection.at(mixed, start), mixed.columns, base)
+    chance, open_to = asked.chance, _wander(further, asked.expected)
     kept = np.concatenate([np.ones(base, dtype=bool), chance < ASKED_P])
     if not np.any(kept[base:]):
-        return Shared(fit)
+        return Shared(fit, wander=open_to)
     own = mixed.only(kept)
     least = np.zeros(int(kept.sum()))
     least[:3] = np.minimum((floor / fit.noise.by_channel) ** 2, 1.0)
@@ -148,8 +152,19 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
     terms = [t for t, k in zip((*basic, *further), kept, strict=True) if k]
     found = np.concatenate([np.zeros(base), chance])[kept]
     if not np.any(theta[base:] > 0):
-        return Shared(fit)
-    return _shared(problem, fit, own, terms, theta, at, found, base, unit)
+        return Shared(fit, wander=open_to)
+    shared = _shared(problem, fit, own, terms, theta, at, found, base, unit)
+    drifts = np.zeros(3) if shared.drift is None else shared.drift.size
+    return replace(shared, wander=np.where(drifts > 0, drifts, open_to))
+
+
+def _wander(terms: list[_Term], variances: Floats) -> Floats:
+    """Return the rms of each bias about its mean (3,) for the variances of the candidates, in the unit."""
+    size = np.zeros(3)
+    for term, variance in zip(terms, variances.tolist(), strict=True):
+        if term.what == DRIFT:
+            size[CHANNELS.index(term.channels)] = float(np.sqrt(variance)) * rms(term.unit_of)
+    return size
 
 
 # --- candidates -------------------------------------------------------------------------------------
@@ -340,6 +355,8 @@ def heavy_tails(problem: Problem, fit: Fit) -> float:
     left = (fit.residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
     size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * fit.slope[kept]) ** 2)
     z = left / size
+    if not np.any(z):
+        return float("nan")
     excess = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
     # repeats of a group are correlated: deviations count only as often as they are free
     free = 3.0 * float((count - 1)[count > 1].sum())

@@ -147,8 +147,20 @@ def maximise(
     return theta, Projection.at(mixed, theta)
 
 
-def asked_for(at: Projection, Z: Columns, inside: int) -> Floats:
-    """Return, for components that are not yet in, the probability of such a score where there is none.
+@dataclass(frozen=True)
+class Asked:
+    """What is asked for of components that are not yet in, (k,) each.
+
+    `chance` is the probability of such a score where there is none; `expected` the mean of the variance that the
+    readings leave open, all sizes alike likely before, normal about one step of the likelihood, never negative.
+    """
+
+    chance: Floats
+    expected: Floats
+
+
+def asked_for(at: Projection, Z: Columns, inside: int) -> Asked:
+    """Return what is asked for of the components after the first `inside`.
 
     The first `inside` components are those whose variances are being estimated: what they take is taken off the
     score and the information, for their estimates come from the repeats alone and are not those of the greatest
@@ -167,4 +179,9 @@ def asked_for(at: Projection, Z: Columns, inside: int) -> Floats:
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
     freedom = traces[inside:] ** 2 / (2.0 * own)
-    return np.asarray(special.chdtrc(freedom, np.maximum(freedom + size * np.sqrt(2.0 * freedom), 0.0)))
+    chance = special.chdtrc(freedom, np.maximum(freedom + size * np.sqrt(2.0 * freedom), 0.0))
+    u = 1.0 / np.sqrt(np.where(told, left, np.inf))
+    # the mean of a normal distribution that ends at zero; far below zero its tail is that of u/|size|
+    tail = np.exp(-0.5 * size**2 - special.log_ndtr(size)) / np.sqrt(2.0 * np.pi)
+    expected = np.where(told, u * np.maximum(np.where(told, size, 0.0) + tail, 0.0), 0.0)
+    return Asked(chance, expected)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, Floats, HasCovariance, rms, u_of
+from bench.analysis.calibration.source_of_error import SourceOfError
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
@@ -197,35 +198,9 @@ def values_with_u(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
     return {name: {"value": value, "u": u} for name, value, u in rows}
 
 
-@dataclass(frozen=True)
-class SourceOfError:
-    """An error that these readings do not show, and what it adds: `covariance` (12, 12) of the coefficients.
-
-    `size` says in words how large it is taken, `origin` from where; `prior` that nobody stated it for this bench.
-    `cancels` tells that it acts alike wherever the same meters read the block.
-    """
-
-    name: str
-    symbol: str
-    size: str
-    origin: str
-    prior: bool
-    dof: float
-    covariance: Floats
-    cancels: bool = False
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "name": self.name,
-            "symbol": self.symbol,
-            "size": self.size,
-            "origin": self.origin,
-            "prior": self.prior,
-            "dof": finite_or_none(self.dof),
-            "u": dict(zip(COEFFICIENTS, u_of(self.covariance).tolist(), strict=True)),
-            "cancels_with_the_same_meters": self.cancels,
-        }
+def by_channel(values: Floats) -> dict[str, float]:
+    """Return values (3,) by the names of the channels."""
+    return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -241,10 +216,10 @@ class Calibration(HasCovariance):
     |a| - 1 of each in g. `outliers` have no weight in the estimate; `notes` says what a reader should know.
     `gain` (12, N, 3) is the map from the signals of the whole table to the coefficients, `slope`
     (N, 3) du/dphi of them, zero for rows that are not oriented. `shared` are variances
-    that readings share, `drift` how the biases wander, `birge` by how much u was widened where the model does not
-    fit, `p_tails` the probability of such tails in Gaussian noise. `sources` are the errors
-    in the covariance that no reading shows; `gravity_u`, relative, is in none of these: K is per local g. `dof`
-    (12,) are effective degrees of freedom.
+    that readings share, `drift` how the biases wander, `wander` (3,) how far they may, rms, `birge` by how much u
+    was widened where the model does not fit, `p_tails` the probability of such tails in Gaussian noise. `sources`
+    are the errors in the covariance that no reading shows; `gravity_u`, relative, is in none of these: K is per
+    local g. `dof` (12,) are effective degrees of freedom.
     `triangular` is there for free positions alone. `assume` gives the sentences of `assumed`.
     """
 
@@ -273,6 +248,7 @@ class Calibration(HasCovariance):
     angles: str = "read back"
     shared: tuple[Component, ...] = ()
     drift: Drift | None = None
+    wander: Floats | None = None
     birge: float = 1.0
     p_tails: float = float("nan")
     sources: tuple[SourceOfError, ...] = ()
@@ -293,6 +269,12 @@ class Calibration(HasCovariance):
     def covariance_same_meters(self) -> Floats:
         """The combined covariance without what cancels where the same meters read the block, (12, 12)."""
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
+
+    @property
+    def block_terms(self) -> Floats:
+        """What K2 and K3 of the block, each one u large, add to the coefficients, (12, q)."""
+        parts = [s.of_block for s in self.sources if s.of_block is not None]
+        return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
 
     @cached_property
     def assumed(self) -> tuple[str, ...]:
@@ -330,6 +312,7 @@ class Calibration(HasCovariance):
             "covariance": self.covariance.tolist(),
             "covariance_readings": self.covariance_readings.tolist(),
             "covariance_same_meters": self.covariance_same_meters.tolist(),
+            "block_terms": self.block_terms.T.tolist(),
             "gravity_u": self.gravity_u,
             "sources": [source.to_json() for source in self.sources],
             "stand": {name: estimate.to_json() for name, estimate in self.stand.items()},
@@ -342,11 +325,12 @@ class Calibration(HasCovariance):
             },
             "noise": {
                 "reading_v": self.noise.reading,
-                **dict(zip(("x", "y", "z"), self.noise.by_channel.tolist(), strict=True)),
+                **by_channel(self.noise.by_channel),
                 "p_equal": finite_or_none(self.noise.p_equal),
                 "p_tails": finite_or_none(self.p_tails),
                 "shared": [component.to_json() for component in self.shared],
                 "drift": None if self.drift is None else self.drift.to_json(),
+                "wander": None if self.wander is None else by_channel(self.wander),
                 "setting_arcsec": self.noise.setting_rad / ARCSEC,
                 "setting_limits_arcsec": self._setting_limits_arcsec(),
                 "dof": finite_or_none(self.noise.dof),

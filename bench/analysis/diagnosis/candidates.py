@@ -14,8 +14,10 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
+from bench.analysis.diagnosis.spells import spells
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
+from bench.model.effects.base import rows_of
 from bench.readings.table import VERIFICATION
 
 SUBSETS: Final = tuple(
@@ -101,6 +103,26 @@ class _Collector:
         self.kinds: list[Column] = []
         self.scale: list[float] = []
         self.variants: list[Variant] = []
+        self._everywhere: dict[tuple[object, ...], dict[int | None, Floats]] = {}
+        self._rows: dict[tuple[str, ...], Mask] = {}
+
+    def columns_of(
+        self,
+        effect: Effect,
+        parameter: Parameter,
+        shape: tuple[tuple[str, float], ...],
+        mounts: tuple[str, ...],
+    ) -> dict[int | None, Floats]:
+        """Return what `plausible_columns` does; where no row looks back, mountings have a part of the whole."""
+        if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
+            return plausible_columns(self.linear, effect, parameter, shape, mounts)
+        key = (effect.name, parameter.name, shape)
+        if key not in self._everywhere:
+            self._everywhere[key] = plausible_columns(self.linear, effect, parameter, shape, ())
+        if mounts not in self._rows:
+            self._rows[mounts] = rows_of(mounts, self.linear.view.conditions)[self.linear.rows.reading]
+        rows = self._rows[mounts]
+        return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
     def add(self, column: Floats, kind: Column, scale: float) -> int:
         self.columns.append(column)
@@ -174,6 +196,9 @@ def _add_effect(collector: _Collector, effect: Effect) -> None:
 
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     """Yield sets of groups of mountings: each group has parameters of its own; () is everywhere."""
+    if effect.per_pass:
+        yield from ((spell,) for spell in spells(linear.readings, lasting=effect.outlasts_mount))
+        return
     if not effect.per_mount:
         yield ((),)
         return
@@ -197,7 +222,7 @@ def _add_form(
     index: dict[tuple[str, int | None], list[int]] = {}
     for mounts in mount_groups:
         for parameter in parameters:
-            columns_of = plausible_columns(collector.linear, effect, parameter, shape, mounts)
+            columns_of = collector.columns_of(effect, parameter, shape, mounts)
             for channel, column in columns_of.items():
                 if np.any(column):
                     place = collector.add(
@@ -205,7 +230,7 @@ def _add_form(
                     )
                     index.setdefault((parameter.name, channel), []).append(place)
     mounts = tuple(label for group in mount_groups for label in group)
-    for names in _parameter_sets(parameters):
+    for names in _parameter_sets(effect, parameters):
         per_channel = any(p.per_channel for p in parameters if p.name in names)
         for channels in SUBSETS if per_channel else ((0, 1, 2),):
             keys = [(n, c) for n in names for c in (*channels, None)]
@@ -214,8 +239,11 @@ def _add_form(
                 collector.variants.append(Variant(effect.name, columns, channels, mounts, shape))
 
 
-def _parameter_sets(parameters: list[Parameter]) -> Iterator[tuple[str, ...]]:
+def _parameter_sets(effect: Effect, parameters: list[Parameter]) -> Iterator[tuple[str, ...]]:
     """Yield sets of parameters that may be there without the others."""
+    if effect.apart:
+        yield from effect.apart
+        return
     names = tuple(p.name for p in parameters)
     waves = [tuple(n for n in names if n.endswith(ROUND) and n.startswith(lead)) for lead in LEADS]
     if set(names) == {n for wave in waves for n in wave}:

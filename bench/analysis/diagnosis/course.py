@@ -10,25 +10,26 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.diagnosis.aliases import looking_like, order_of
+from bench.analysis.diagnosis.applied import applied_of
 from bench.analysis.diagnosis.assumed import assumed
 from bench.analysis.diagnosis.candidates import (
     FREE_BY_ANGLE,
     FREE_BY_PASS,
     Candidates,
     Variant,
-    make_candidates,
 )
 from bench.analysis.diagnosis.common_volts import common_volts
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
+from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
 from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.known_together import known_together
-from bench.analysis.diagnosis.linear import make_linear
-from bench.analysis.diagnosis.naming import Naming, name
-from bench.analysis.diagnosis.noise_grid import RATIOS, make_noise_grid
+from bench.analysis.diagnosis.looked import look
+from bench.analysis.diagnosis.naming import Naming
+from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
+from bench.analysis.diagnosis.noise_grid import RATIOS
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
-from bench.analysis.diagnosis.repeats import noise_of_repeats
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
@@ -52,7 +53,8 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose one table of readings against a model.
 
-    `stand_u` holds standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad;
+    `stand_u` holds standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad, and of
+    the "voltmeter_error", V;
     `nominal_scale_factors` (3,) with sign come from the data sheet of the block (unit/g) and tell swapped or
     reversed channels. `there` is what is known of meters and head: effects of what is not there are no candidates.
     The record is never changed: a mistake is corrected in a copy. Raises
@@ -61,17 +63,19 @@ def diagnose(
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
     mistakes = find_mistakes(readings, model, stand_u, nominal_scale_factors)
-    linear = make_linear(mistakes.corrected, model, stand)
-    repeats = noise_of_repeats(linear, readings.resolution)
-    grid = make_noise_grid(linear, repeats.sigma, setting_rad)
     absent = there.absent(mistakes.corrected)
-    candidates = make_candidates(linear, repeats.sigma, absent)
-    whitened = Whitened.of(grid, candidates)
-    limit = (cache or ThresholdCache(None)).threshold(linear, whitened, setting_rad)
+    looked, naming = look(
+        mistakes.corrected,
+        model,
+        stand,
+        setting_rad,
+        cache or ThresholdCache(None),
+        readings.resolution,
+        absent,
+    )
+    linear, candidates, whitened, data = looked.linear, looked.candidates, looked.whitened, looked.data
+    repeats, grid, limit = looked.repeats, looked.whitened.grid, looked.limit
     registered = register(linear, limit)
-
-    data = whitened.reduce(linear.response[:, None])
-    naming = name(whitened, data, limit)
     noise = noise_size(whitened, data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
@@ -83,9 +87,11 @@ def diagnose(
     effects = _effects(candidates, naming, fitted, limit, measured_rad)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
+    gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
+    findings = noise_findings(noise, readings, stand_u, linear.typical_slope)
     return Diagnosis(
-        verdict=_verdict(bool(mistakes.mistakes), effects),
-        of_copy=_verdict(False, effects),
+        verdict=_verdict(bool(mistakes.mistakes), effects, findings, gap),
+        of_copy=_verdict(False, effects, findings, gap),
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
@@ -93,7 +99,7 @@ def diagnose(
         absent=absent,
         unseen_per_turn=looking_like(measured_rad, 0),
         detectable={family: size for family, size in sizes.items() if family not in absent},
-        gap=measure_gap(linear, candidates, grid, naming, noise, limit, setting_rad),
+        gap=gap,
         registered=registered,
         linear=linear,
         candidates=candidates,
@@ -101,16 +107,25 @@ def diagnose(
         fitted=fitted,
         noise=noise,
         p_left=p_left,
-        notes=(*readings.notes, *assumed(linear), *common_volts(naming, fitted, linear)),
+        findings=findings,
+        notes=(
+            *readings.notes,
+            *(f.words for f in findings),
+            *assumed(linear),
+            *common_volts(naming, fitted, linear),
+        ),
     )
 
 
-def _verdict(mistaken: bool, effects: tuple[NamedEffect, ...]) -> Verdict:
+def _verdict(
+    mistaken: bool, effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap
+) -> Verdict:
+    """Return the first that applies; what readings held out do not confirm is named no better than a tie."""
     if mistaken:
         return "mistake"
-    if any(not e.in_catalogue for e in effects):
+    if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
-    if any(e.cannot_tell_from for e in effects):
+    if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
         return "confounded"
     return "named" if effects else "agrees"
 
@@ -173,7 +188,7 @@ def _effects(
         )
         if variant.named:
             value, covariance = fitted.amplitudes[mine], fitted.amplitude_covariance[mine, mine]
-            applied = _applied(candidates, effect, variant, value, np.sqrt(np.diag(covariance)))
+            applied = applied_of(candidates, variant, value, np.sqrt(np.diag(covariance)))
             together = known_together(candidates, variant, value, covariance)
             order = order_of(applied[0])
             effect = replace(
@@ -191,26 +206,6 @@ def _in_words(variant: Variant) -> str:
     if variant.named:
         return CATALOGUE[variant.family].sentence
     return UNNAMED_WORDS[variant.family] + (f" ({variant.where})" if variant.where else "")
-
-
-def _applied(
-    candidates: Candidates, found: NamedEffect, variant: Variant, value: Floats, u: Floats
-) -> tuple[AppliedEffect, ...]:
-    """Return the effect with the estimated values in SI, once for each set of mountings with its own values."""
-    kinds = [candidates.kinds[column] for column in variant.columns]
-    applied = []
-    for mounts in dict.fromkeys(kind.mounts for kind in kinds):
-        values: dict[str, Floats] = {name: np.asarray(size) for name, size in variant.shape}
-        sizes: dict[str, Floats] = {}
-        for place, (column, kind) in enumerate(zip(variant.columns, kinds, strict=True)):
-            if kind.mounts != mounts:
-                continue
-            at = () if kind.channel is None else kind.channel
-            for numbers, number in ((values, value[place]), (sizes, u[place])):
-                numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
-                numbers[kind.parameter][at] = number * candidates.scale[column]
-        applied.append(AppliedEffect(CATALOGUE[variant.family], values, found.channels, sizes, mounts))
-    return tuple(applied)
 
 
 def _values(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:

@@ -163,12 +163,12 @@ def diagnose_fully(
         diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
     model = diagnosis.linear.model
     shown = show(diagnosis.mistakes.corrected, model, diagnosis.applied, stand_u, g_m_s2)
-    stated = contradicted(model.effects, shown.before.effects)
+    told = contradicted(model.effects, shown.before.effects)
     return FullDiagnosis(
         source=source,
         simulated=simulated,
         skipped_rows=readings.skipped,
-        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *stated)),
+        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *told)),
         shown=shown,
         ranking=rivals(diagnosis, stand_u["setting_error"]),
         next_measurement=propose(diagnosis, bench),

@@ -43,6 +43,7 @@ class KnownBench:
         why = {
             "range_offset": said if fixed else "",
             "channel_crosstalk": "each channel has a voltmeter of its own" if self.own_meters else "",
+            "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
             "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}

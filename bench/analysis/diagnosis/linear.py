@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -76,13 +77,33 @@ class LinearSystem:
         """Root mean square over the settings of the length of du/dphi."""
         return float(np.sqrt(np.sum(self.slope**2) / max(self.settings, 1)))
 
+    @property
+    def g_per_signal(self) -> Floats:
+        """What turns a row into g (N,): by the scale factor of its channel, of a modulus by its derivative."""
+        of_channel = 1.0 / np.abs(np.diag(self.block.K))[np.minimum(self.rows.channel, 2)]
+        modulus = self.rows.channel == MODULUS
+        of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]
+        return of_channel
+
+    def rows_of(self, change: Floats) -> Floats:
+        """Contract changes (n, 3) of the signals to the rows, shape (N,)."""
+        return self.view.rows_of(change)
+
+    @cached_property
+    def _still(self) -> Floats:
+        """The readings without any effect, shape (n, 3)."""
+        return self.view.read(replace(self.model, effects=()), self.block)
+
+    def _change(self, applied: AppliedEffect) -> Floats:
+        return self.view.read(replace(self.model, effects=(applied,)), self.block) - self._still
+
     def effect_column(self, applied: AppliedEffect) -> Floats:
         """Return what an effect with these values adds to the rows, shape (N,): its difference from none."""
-        return self.view.rows_of(self.view.change(self.model, applied, self.block))
+        return self.view.rows_of(self._change(applied))
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
         """Return the same for each channel of an effect of the block apart, shape (N, 3)."""
-        change = self.view.change(self.model, applied, self.block)
+        change = self._change(applied)
         return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
 
 
@@ -103,19 +124,16 @@ class _View:
     inputs: Ints
     by_signal: Floats
 
-    def change(self, model: ForwardModel, applied: AppliedEffect, block: Block) -> Floats:
-        """Return by how much an effect changes the three signals of each reading, shape (n, 3)."""
-        return self.own(model, (applied,), block)
-
     def own(self, model: ForwardModel, effects: tuple[AppliedEffect, ...], block: Block) -> Floats:
-        """Return by how much the effects that the model has by now change the signals, shape (n, 3)."""
+        """Return by how much effects together change the signals of each reading, shape (n, 3)."""
         if not effects:
             return np.zeros(self.force.shape)
-        return self._read(replace(model, effects=effects), block) - self._read(
+        return self.read(replace(model, effects=effects), block) - self.read(
             replace(model, effects=()), block
         )
 
-    def _read(self, model: ForwardModel, block: Block) -> Floats:
+    def read(self, model: ForwardModel, block: Block) -> Floats:
+        """Return what a model reads in all rows on a stand without errors, shape (n, 3)."""
         still = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         return model.readings_in_order(
             block, self.conditions, still, force=self.force, voltage_v=self.voltage_v

@@ -26,8 +26,9 @@ class Repeats:
 def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     """Return the scatter about a free value for each mounting and angle, each pass, and a slope in each mounting.
 
-    The part along du/dphi has the setting error in it and is left out of `sigma`. Where there are too few
-    repeats, the scatter about the model stands in. Never below rounding to `resolution`.
+    A pass is free in its bias and in a wave once a turn: what slips, is set anew or exchanged between passes is
+    no noise. The part along du/dphi has the setting error in it and is left out of `sigma`. Where there are too
+    few repeats, the scatter about the model stands in. Never below rounding to `resolution`.
     """
     oriented = linear.setting >= 0
     readings = linear.readings
@@ -38,6 +39,7 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
         [f"{s}/{i}" for s, i in zip(readings.series[reading], readings.installation[reading], strict=True)],
         np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int),
         readings.pass_number[reading],
+        readings.angle_rad[reading],
     )
     u, size, _ = np.linalg.svd(design, full_matrices=False)
     basis = u[:, size > 1e-9 * size[0]]
@@ -55,11 +57,14 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     return Repeats(sigma, freedom)
 
 
-def _saturated(mount: list[str], angle: NDArray[np.int64], passes: NDArray[np.int64]) -> Floats:
+def _saturated(
+    mount: list[str], angle: NDArray[np.int64], passes: NDArray[np.int64], angle_rad: Floats
+) -> Floats:
     cells = list(zip(mount, angle.tolist(), strict=True))
     turns = list(zip(mount, passes.tolist(), strict=True))
     columns = [[c == key for c in cells] for key in dict.fromkeys(cells)]
-    columns += [[t == key for t in turns] for key in dict.fromkeys(turns)]
+    of_pass = np.array([[t == key for t in turns] for key in dict.fromkeys(turns)], dtype=np.float64)
+    waves = [*(of_pass * np.cos(angle_rad)), *(of_pass * np.sin(angle_rad))]
     rank = np.arange(len(mount), dtype=np.float64) / len(mount)
     slopes = [np.where(np.array(mount) == key, rank, 0.0) for key in dict.fromkeys(mount)]
-    return np.column_stack([*np.array(columns, dtype=np.float64), *slopes])
+    return np.column_stack([*np.array(columns, dtype=np.float64), *of_pass, *waves, *slopes])

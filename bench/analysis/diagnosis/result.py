@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from bench.analysis.diagnosis.candidates import Candidates
-from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.known_together import KnownTogether
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
+from bench.analysis.diagnosis.noise_findings import NoiseFinding
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
 from bench.analysis.diagnosis.registration import Registration
 from bench.analysis.diagnosis.where import Place
@@ -118,7 +119,7 @@ class Diagnosis:
     of some; `absent` effects of what the bench has not, with the reason; `unseen_per_turn` how often a turn an
     error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
     plausible sizes, that are found in half of all runs. `linear`, `candidates`, `naming`, `fitted` and `noise`
-    are what plots and the report are drawn from.
+    are what plots and the report are drawn from; `findings` where that noise is larger than stated.
     """
 
     verdict: Verdict
@@ -138,6 +139,7 @@ class Diagnosis:
     fitted: Posterior
     noise: NoiseSize
     p_left: float
+    findings: tuple[NoiseFinding, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -168,6 +170,7 @@ class Diagnosis:
                 "reading": self.noise.reading,
                 "setting_arcsec": self.noise.setting_arcsec,
                 "dof": self.noise.freedom,
+                "findings": [finding.to_dict() for finding in self.findings],
             },
             "p_left": self.p_left,
             "detectable": dict(self.detectable),

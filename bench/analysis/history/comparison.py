@@ -39,7 +39,9 @@ class Snapshot:
 
     `block` says which block it was (type and serial number), empty where nobody recorded it. `same_meters`
     (12, 12) is the covariance without what cancels where the same meters measure again, None where there is no such
-    part; `meters` are their identities, empty where unknown.
+    part; `meters` are their identities, empty where unknown. `block_terms` (12, q) is what K2 and K3 of the block,
+    one u large, add to the coefficients: the same block brings the same ones. `wander` (3,) is how far each bias
+    may wander about its mean over the run, rms: from one run to the next it goes on.
     """
 
     name: str
@@ -52,6 +54,8 @@ class Snapshot:
     simulated: bool = False
     same_meters: Floats | None = None
     meters: tuple[str, ...] = ()
+    block_terms: Floats | None = None
+    wander: Floats | None = None
 
     def per(self, g_m_s2: float) -> Snapshot:
         """Return it with scale factors per another local gravity: the same per m/s^2."""
@@ -64,6 +68,7 @@ class Snapshot:
             vector=self.vector * factor,
             covariance=self.covariance * both,
             same_meters=own,
+            block_terms=None if self.block_terms is None else self.block_terms * factor[:, None],
         )
 
     @property
@@ -71,18 +76,40 @@ class Snapshot:
         """The covariance without what cancels where the same meters measure again, (12, 12)."""
         return self.covariance if self.same_meters is None else self.same_meters
 
+    @property
+    def _gone_on(self) -> Floats:
+        """The covariance (12, 12) of the biases at the run's mean from what they were as it began.
+
+        A random walk with rms s about its mean over a run has a mean that is off its beginning by sqrt(2) s.
+        """
+        between = np.zeros(len(COEFFICIENTS))
+        if self.wander is not None:
+            between[9:] = 2.0 * self.wander**2
+        return np.diag(between)
+
     def against(self, first: Snapshot) -> Snapshot:
         """Return it with the covariance that it has beside `first`, which then has its own without the meters.
 
         Gain and offset of meters that are the same cancel on one day, and less the longer they may have drifted:
         after `METERS_DRIFT` they may be anywhere within their limits. Those of other meters, or of ones that nobody
-        named, never cancel.
+        named, never cancel. K2 and K3 of the block cancel as far as both calibrations take them up alike.
         """
+        theirs = _of_block(first.block_terms)
+        own = self.without_meters + self._gone_on
         if self is first:
-            return replace(self, covariance=self.without_meters)
+            return replace(self, covariance=own - theirs)
         part = _drifted(first, self)
         meters = (self.covariance - self.without_meters) + (first.covariance - first.without_meters)
-        return replace(self, covariance=self.without_meters + part * meters)
+        block = theirs
+        mine, other = self.block_terms, first.block_terms
+        if mine is not None and other is not None and (self.block, mine.shape) == (first.block, other.shape):
+            block = _of_block(mine - other) - _of_block(mine)
+        return replace(self, covariance=own + part * meters + block)
+
+
+def _of_block(terms: Floats | None) -> Floats:
+    """Return the covariance (12, 12) of what terms (12, q) of the block, each one u large, add."""
+    return np.zeros((len(COEFFICIENTS),) * 2) if terms is None else np.asarray(terms @ terms.T)
 
 
 @dataclass(frozen=True)

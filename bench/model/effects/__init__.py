@@ -8,7 +8,9 @@ from bench.model.effects.catalogue import Catalogue, effects_of
 from bench.model.effects.expression import ExpressionError
 from bench.model.effects.formula import FormulaEffect
 
-MODULES: Final = ("nonlinear", "hysteresis", "thermal", "stand", "head", "stand_motion", "voltmeter")
+MODULES: Final = (
+    "nonlinear", "hysteresis", "thermal", "stand", "head", "stand_motion", "slips", "voltmeter",
+)  # fmt: skip
 """The modules of this folder that have effects, in the order of the catalogue."""
 
 CATALOGUE: Final = Catalogue(

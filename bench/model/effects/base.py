@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
@@ -83,8 +84,10 @@ class Effect(ABC):
     """An effect of the forward model. Stateless: its parameters' values are passed in.
 
     `sentence` says what it is, `shown_by` what measurement would show it. A `per_mount` effect may be of
-    one mounting alone; one that `lasts` stays from that mounting on. `needs_history` is true where a reading
-    depends on the rows before it, `needs_path` where it depends on how the head came there.
+    one mounting alone; one that `lasts` stays from that mounting on. A `per_pass` effect may be of some passes
+    of a mounting alone; it may go on through remounts where it `outlasts_mount`. `apart` are sets of parameters
+    that it may have without the others, where they are not as their names tell. `needs_history` is true where a
+    reading depends on the rows before it, `needs_path` where it depends on how the head came there.
     """
 
     name: str
@@ -95,6 +98,9 @@ class Effect(ABC):
     shown_by: str
     per_mount: bool = False
     lasts: bool = False
+    per_pass: bool = False
+    outlasts_mount: bool = False
+    apart: tuple[tuple[str, ...], ...] = ()
     needs_history: bool = False
     needs_path: bool = False
 
@@ -144,13 +150,36 @@ def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
     return values[f"{prefix}cosine"] * np.cos(phase) + values[f"{prefix}sine"] * np.sin(phase)
 
 
+PASS: Final = " pass "
+"""Between a mounting and the number of a pass, in what names one pass of it."""
+
+
+def pass_label(mounting: str, number: int) -> str:
+    """Return what names a pass of a mounting: "2 pass 1"."""
+    return f"{mounting}{PASS}{number}"
+
+
+def rows_of(installations: Sequence[str], conditions: Conditions) -> Mask:
+    """Return which rows are of these mountings, or passes of one, shape (n,)."""
+    has = np.array([str(mount) in installations for mount in conditions.mounts], dtype=bool)
+    rows: Mask = has[conditions.mount]
+    if any(PASS in label for label in installations):
+        cells = list(zip(conditions.mount.tolist(), conditions.pass_number.tolist(), strict=True))
+        named = {
+            cell: pass_label(str(conditions.mounts[cell[0]]), cell[1]) in installations for cell in set(cells)
+        }
+        rows = rows | np.array([named[cell] for cell in cells], dtype=bool)
+    return rows
+
+
 @dataclass(frozen=True)
 class AppliedEffect:
     """An effect with values, as a bench or a model file states it.
 
     `values` are SI: shape (3,) for a per-channel parameter, () else; a size left out is zero, a shape its
     default. `u` are their standard uncertainties where they are known. `installations` are the mountings
-    that have the effect, as `str(Mount)`: "2", in series 3 "2/3"; none named is all of them.
+    that have the effect, as `str(Mount)`: "2", in series 3 "2/3", or single passes of them: "2 pass 1"
+    (`pass_label`); none named is all of them.
     """
 
     effect: Effect
@@ -179,8 +208,7 @@ class AppliedEffect:
         """Return where the effect acts, shape (n,)."""
         if not self.installations:
             return np.ones(len(conditions), dtype=bool)
-        has = np.array([str(mount) in self.installations for mount in conditions.mounts], dtype=bool)
-        rows: Mask = has[conditions.mount]
+        rows = rows_of(self.installations, conditions)
         return np.logical_or.accumulate(rows) if self.effect.lasts else rows
 
     def addition(self, seen: Seen) -> Floats:

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.full import FullDiagnosis
-from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
 from bench.analysis.diagnosis.show import SEED, Shown
 from bench.analysis.diagnosis.where import Place
 from bench.base.numbers import aligned, concise, fixed, quantity, rounded, scale_for, two_digits, typeset
@@ -83,14 +83,14 @@ def _held_out(gap: Gap) -> list[Row]:
         Row(
             fold.label,
             (
-                ", ".join(fold.found) or "nothing",
+                ", ".join(fold.gains) or "nothing",
                 f"{fold.before.reduced:.2f}",
                 f"{fold.after.reduced:.2f}",
-                "yes" if fold.confirmable else "no: without it the rest could not have shown the effect",
+                "yes" if fold.counted else f"no: {fold.blind}",
             ),
         )
         for fold in gap.folds
-    ]
+    ] + [Row(label, ("", "", "", f"no: {UNDETERMINED}")) for label in gap.undetermined]
 
 
 def _coefficients(shown: Shown) -> list[Row]:

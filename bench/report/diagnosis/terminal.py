@@ -36,7 +36,7 @@ def print_one(full: FullDiagnosis, out: Console) -> None:
         _consequence(shown, out)
     _limits_of_sight(full, out)
     _files(full, out)
-    lead = words.LEAD[diagnosis.verdict].upper()
+    lead = words.lead(diagnosis).upper()
     out.print(f"{full.source}: {lead}: {typeset(words.verdict_in_words(diagnosis))}", style="bold")
 
 
@@ -132,14 +132,16 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
 def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
     gap, after = diagnosis.gap, shown.after
     if gap.opened:
+        told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
         out.print(
-            f"Gap on readings not used: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
-            f"(noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
+            f"{told[0].upper()}{told[1:]}, on readings not used: reduced chi-square {gap.before:.2f} before, "
+            f"{gap.after:.2f} after (noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
             f"{quantity(gap.before_rms, gap.unit)} before, {quantity(gap.after_rms, gap.unit)} after"
         )
-    blind = [fold.label for fold in gap.folds if not fold.confirmable]
-    if blind:
-        out.print(f"  not counted, as without it the rest could not have shown it: {', '.join(blind)}")
+    for line in words.left_out_in_words(gap):
+        out.print(f"  not counted: {line}")
+    if gap.reason:
+        out.print(f"  not confirmed: {gap.reason}")
     if after is not None and after.tested:
         with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
         out.print(typeset(f"Simulated bench beside the readings: {with_it} with it, {without} without"))
@@ -187,4 +189,4 @@ def _files(full: FullDiagnosis, out: Console) -> None:
         if file is not None:
             out.print(f"{what}: {file}")
     if full.diagnosis.of_copy == "confounded" and full.model is None:
-        out.print("no model file is written while the data cannot tell; --accept-first takes the first")
+        out.print(f"no model file is written {words.why_no_model(full.diagnosis)}")

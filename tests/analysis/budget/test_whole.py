@@ -96,6 +96,20 @@ def test_what_cancels_cancels(run):
     np.testing.assert_allclose(whole, small, rtol=1e-3)
 
 
+def test_what_k2_and_k3_did_to_the_coefficients_they_do_at_the_points(run):
+    """Coefficients of the same table, its K2 and K3 known to be those of the check: no more than cancels there."""
+    found = signed(run)
+    both, noise = found.covariance_same_meters, found.noise.by_channel
+    apart, known = (
+        delta_g_elsewhere(found.block, both, noise, run, BENCH, MODEL, same_meters=True, block_terms=terms)
+        for terms in (None, found.block_terms)
+    )
+    whole = delta_g_covariance(found, run, BENCH, MODEL)
+    assert np.all(np.diag(known) < np.diag(apart))
+    # what is left beside the whole is the temperature, whose course one table shares
+    np.testing.assert_allclose(np.sqrt(np.diag(known)), np.sqrt(np.diag(whole)), rtol=0.2)
+
+
 def _with_meters(gain, offset):
     from bench.files.bench.uncertainty import RatioError, VoltageError
 

@@ -46,11 +46,25 @@ def test_a_component_that_is_there_is_asked_for_and_one_that_is_not_as_seldom_as
     for seed in range(400):
         mixed = one_way([9, seed], 0.0, 1.0)
         base = mixed.only(np.array([True, False]))
-        chance.append(asked_for(Projection.at(base, np.ones(1)), mixed.columns, 1)[0])
+        chance.append(asked_for(Projection.at(base, np.ones(1)), mixed.columns, 1).chance[0])
     assert np.mean(np.array(chance) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 400))
     there = one_way(10, 2.0, 1.0)
     base = there.only(np.array([True, False]))
-    assert asked_for(Projection.at(base, np.ones(1)), there.columns, 1)[0] < 1e-6
+    assert asked_for(Projection.at(base, np.ones(1)), there.columns, 1).chance[0] < 1e-6
+
+
+def test_what_the_readings_leave_open_is_the_mean_over_its_likelihood():
+    """One-way layout, within known to be 1: the mean of the variance between over the likelihood, by quadrature."""
+    mixed = one_way(11, 0.6, 1.0)
+    base = mixed.only(np.array([True, False]))
+    found = asked_for(Projection.at(base, np.ones(1)), mixed.columns, 1).expected[0]
+    between = np.sum((mixed.y.reshape(GROUPS, REPEATS).mean(axis=1) - mixed.y.mean()) ** 2) * REPEATS
+    theta = np.linspace(0.0, 6.0, 4001)
+    size = 1.0 + REPEATS * theta
+    likelihood = np.exp(-0.5 * (GROUPS - 1) * np.log(size) - 0.5 * between / size)
+    mean = np.sum(theta * likelihood) / np.sum(likelihood)
+    # one normal step from nothing stands in for the likelihood, which has a longer tail
+    assert 0.4 * mean < found < 1.3 * mean
 
 
 def test_a_walk_that_goes_on_has_the_covariance_of_drawn_ones():

@@ -67,12 +67,12 @@ def test_a_part_of_the_rows_numbers_its_settings_anew():
 
 
 def test_noise_of_repeats_is_found_in_spite_of_an_effect():
-    """32 settings of freedom, two directions across: sigma within 4 times 1/sqrt(2 * 64) of the truth."""
+    """24 settings of freedom, two directions across: sigma within 4 times 1/sqrt(2 * 48) of the truth."""
     for k2 in ((0, 0, 0), (300e-6, -200e-6, 100e-6)):
         linear = set_up(paper_run(np.random.default_rng(44), K2=k2, drift_v_per_h=(0, 50e-6, 0))).linear
         found = noise_of_repeats(linear, 0.0)
-        assert found.freedom == 32
-        assert abs(found.sigma / NOISE_V - 1) < 4 / np.sqrt(2 * 64)
+        assert found.freedom == 24
+        assert abs(found.sigma / NOISE_V - 1) < 4 / np.sqrt(2 * 48)
 
 
 def test_where_names_channel_installation_and_harmonic():

@@ -28,7 +28,7 @@ def known(name):
 def test_a_bench_with_meters_of_their_own_and_fixed_ranges_has_no_crosstalk_and_no_other_range():
     readings = paper_run(None)
     assert list(known("paper-stand").absent(readings)) == ["range_offset", "channel_crosstalk"]
-    assert list(known("bench-multiplexer").absent(readings)) == ["range_offset"]
+    assert list(known("bench-multiplexer").absent(readings)) == ["meters_exchanged", "range_offset"]
     assert "backlash" in known("bench-rate-table").absent(readings)
     assert NOTHING_KNOWN.absent(readings) == {}
 

@@ -1,6 +1,7 @@
 """Calibrations over time: E_n, joint test, number of looks, drift, gravity."""
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -47,6 +48,37 @@ def test_e_n_and_chi_square_are_what_their_definitions_say():
     assert found.chi2 == pytest.approx(step @ np.linalg.inv(2 * COVARIANCE) @ step, rel=1e-9)
     assert found.p == pytest.approx(stats.chi2.sf(found.chi2, 12), rel=1e-9)
     assert found.en[[0, 5, 11]].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_terms_of_the_block_cancel_as_far_as_both_calibrations_take_them_up():
+    """The difference of two x_i = x + B_i t + e_i, t of unit size: covariance 2 C + (B1 - B2)(B1 - B2)^T."""
+    first, later = 1e-4 * np.random.default_rng(35).normal(size=(2, 12, 6))
+    taken = [
+        snapshot(TRUTH, 30 * k, covariance=COVARIANCE + b @ b.T, block_terms=b)
+        for k, b in enumerate((first, later))
+    ]
+    alike = replace(taken[1], covariance=taken[0].covariance, block_terms=first)
+    left = first - later
+    expected = np.sqrt(np.diag(2 * COVARIANCE + left @ left.T))
+    np.testing.assert_allclose(compare(taken).changes[0].u, expected, rtol=1e-9)
+    np.testing.assert_allclose(compare([taken[0], alike]).changes[0].u, np.sqrt(2) * U, rtol=1e-9)
+    # another block, and a result that does not say, have their own
+    both = np.sqrt(np.diag(2 * COVARIANCE + first @ first.T + later @ later.T))
+    for other in (replace(taken[1], block="block 2"), replace(taken[1], block_terms=None)):
+        np.testing.assert_allclose(compare([taken[0], other]).changes[0].u, both, rtol=1e-9)
+
+
+def test_a_bias_that_wanders_during_a_run_goes_on_between_runs():
+    """Seed 36, 4,000 walks of 60 steps: mean less beginning, beside the rms about it. Four standard errors."""
+    walks = np.cumsum(np.random.default_rng(36).normal(size=(4000, 60)), axis=1)
+    about = np.mean((walks - walks.mean(axis=1, keepdims=True)) ** 2)
+    gone = 2.0 * about
+    assert np.mean(walks.mean(axis=1) ** 2) == pytest.approx(gone, rel=4 * np.sqrt(2 / 4000) + 1 / 60)
+    wander = np.array([0.0, 1e-5, 2e-5])
+    both = [snapshot(TRUTH, 30 * k, wander=wander) for k in range(2)]
+    added = compare(both).changes[0].u ** 2 - 2 * U**2
+    np.testing.assert_allclose(added[9:], 2 * 2.0 * wander**2, atol=1e-18)
+    np.testing.assert_allclose(added[:9], 0.0, atol=1e-18)
 
 
 def test_holm_is_that_of_its_published_example():

@@ -1,0 +1,129 @@
+"""Readings prepared for a search, about a point near enough that what is large is linear there, too.
+
+A slip of a degree shows in second order by ten times the noise. So where what is found changes the readings by
+more than its columns say, the forward model takes it off them, the coefficients are guessed anew, and what the
+columns say is put back: a step of Gauss and Newton, after which all is as before, but linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.calibration.design import FIXED
+from bench.analysis.diagnosis.applied import applied_of
+from bench.analysis.diagnosis.candidates import Candidates, make_candidates
+from bench.analysis.diagnosis.evidence import Data, Whitened
+from bench.analysis.diagnosis.linear import LinearSystem, make_linear
+from bench.analysis.diagnosis.naming import MOST_EFFECTS, Naming, name
+from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.analysis.diagnosis.posterior import fit_found, noise_size
+from bench.analysis.diagnosis.repeats import Repeats, noise_of_repeats
+from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
+from bench.base.arrays import Floats
+from bench.model import Block, ForwardModel
+from bench.readings.table import Readings
+
+BENT: Final = 0.3
+"""What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
+STEPS: Final = 6
+"""Steps after which what is not linear yet stays as it is: it is left over, and told."""
+
+
+@dataclass(frozen=True)
+class Looked:
+    """Readings made linear, the candidates in units of the noise, what is needed of the data, the threshold.
+
+    `bend` (N,) is what was taken off the response because the readings are not linear in what was found.
+    """
+
+    linear: LinearSystem
+    repeats: Repeats
+    candidates: Candidates
+    whitened: Whitened
+    data: Data
+    limit: Threshold
+    bend: Floats
+
+
+@dataclass(frozen=True)
+class _Task:
+    readings: Readings
+    model: ForwardModel
+    stand: Mapping[str, float]
+    setting_rad: float
+    resolution: float
+    cache: ThresholdCache
+    absent: Collection[str]
+
+
+def look(
+    readings: Readings,
+    model: ForwardModel,
+    stand: Mapping[str, float],
+    setting_rad: float,
+    cache: ThresholdCache,
+    resolution: float,
+    absent: Collection[str] = (),
+) -> tuple[Looked, Naming]:
+    """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
+
+    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
+    `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
+    Raises `CalibrationError` where there is too little to fit.
+    """
+    task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
+    looked = _prepared(task, make_linear(readings, model, stand))
+    most = 1
+    naming = name(looked.whitened, looked.data, looked.limit, most)
+    for _ in range(STEPS):
+        straight = _straightened(task, looked, naming) if naming.found else None
+        if straight is None:
+            if not naming.found or most == MOST_EFFECTS:
+                return looked, naming
+            most = MOST_EFFECTS
+        looked = straight or looked
+        naming = name(looked.whitened, looked.data, looked.limit, most)
+    return looked, name(looked.whitened, looked.data, looked.limit)
+
+
+def _prepared(task: _Task, linear: LinearSystem) -> Looked:
+    repeats = noise_of_repeats(linear, task.resolution)
+    grid = make_noise_grid(linear, repeats.sigma, task.setting_rad)
+    candidates = make_candidates(linear, repeats.sigma, task.absent)
+    whitened = Whitened.of(grid, candidates)
+    limit = task.cache.threshold(linear, whitened, task.setting_rad)
+    data = whitened.reduce(linear.response[:, None])
+    return Looked(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
+
+
+def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
+    """Return the readings about what was found; None where they are linear in it as they are."""
+    linear, candidates = looked.linear, looked.candidates
+    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    fitted = fit_found(linear, candidates, naming, noise)
+    parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.parts() if f.variant.named]
+    if not parts:
+        return None
+    effects = tuple(a for v, value in parts for a in applied_of(candidates, v, value, 0.0 * value))
+    block = Block.from_vector(linear.block.vector + fitted.mean[:FIXED])
+    change = linear.view.own(linear.model, effects, block)
+    columns = [column for variant, _ in parts for column in variant.columns]
+    sizes = np.concatenate([value for _, value in parts])
+    moved = linear.rows_of(change)
+    bend = moved - candidates.columns[:, columns] @ sizes - looked.bend
+    if float(np.max(np.abs(bend))) < BENT * noise.reading:
+        return None
+    readings = task.readings
+    again = make_linear(replace(readings, signal=readings.signal - change), task.model, task.stand)
+    told = make_candidates(again, looked.repeats.sigma, task.absent)
+    if told.kinds != candidates.kinds:
+        return None
+    back = told.columns[:, columns] @ sizes
+    about = replace(again, readings=readings, response=again.response + back)
+    whitened = Whitened.of(make_noise_grid(about, looked.repeats.sigma, task.setting_rad), told)
+    data = whitened.reduce(about.response[:, None])
+    return Looked(about, looked.repeats, told, whitened, data, looked.limit, moved - back)
