@@ -230,10 +230,16 @@ def _of_model_file(
     Its values have then seen the readings: as priors they would count them twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
+    dark: tuple[str, ...] = ()
+    if file.dark_uncertainty is not None:
+        dark = (
+            f"model {file.name} leaves {file.dark_uncertainty} in each reading unexplained (dark uncertainty): "
+            "it has terms without a name",
+        )
     if not _knows(file.data_sha256, readings):
-        return model, ()
+        return model, dark
     note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
-    return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note,)
+    return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note, *dark)
 
 
 def _run_of(name: str, runs: Path) -> Run | None:

@@ -20,21 +20,24 @@ from bench.analysis.diagnosis.candidates import (
 )
 from bench.analysis.diagnosis.common_volts import common_volts
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
+from bench.analysis.diagnosis.form.describe import describe
+from bench.analysis.diagnosis.form.search import Setting
 from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
+from bench.analysis.diagnosis.joint import find_mistakes_in_each, with_blocks
 from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.looked import look
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
 from bench.analysis.diagnosis.noise_grid import RATIOS
+from bench.analysis.diagnosis.one_run import look_at_runs
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
 from bench.analysis.diagnosis.where import find_places
-from bench.analysis.mistakes.search import find_mistakes
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import Readings
@@ -55,16 +58,18 @@ def diagnose(
 
     `stand_u` holds standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad, and of
     the "voltmeter_error", V;
-    `nominal_scale_factors` (3,) with sign come from the data sheet of the block (unit/g) and tell swapped or
-    reversed channels. `there` is what is known of meters and head: effects of what is not there are no candidates.
-    The record is never changed: a mistake is corrected in a copy. Raises
+    `nominal_scale_factors` (3,), or (blocks, 3) of several, with sign come from the data sheet (unit/g) and tell
+    swapped or reversed channels. `there` is what is known of meters and head: effects of what is not there are no
+    candidates. The record is never changed: a mistake is corrected in a copy. Raises
     `CalibrationError` where the readings do not determine the coefficients.
     """
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
-    mistakes = find_mistakes(readings, model, stand_u, nominal_scale_factors)
+    readings = with_blocks(readings, model)
+    mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     absent = there.absent(mistakes.corrected)
-    looked, naming = look(
+    find = look_at_runs if mistakes.corrected.run.any() else look
+    looked, naming = find(
         mistakes.corrected,
         model,
         stand,
@@ -89,9 +94,16 @@ def diagnose(
         effects = (*effects, _unexplained(p_left))
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope)
+    of_copy = _verdict(False, effects, findings, gap)
+    form = None
+    if of_copy == "unknown":
+        given = [column for f in naming.found if f.variant.named for column in f.variant.columns]
+        about = Setting(repeats.sigma, setting_rad, near_ratios(linear, noise), limit)
+        form = describe(linear, candidates.columns[:, given], repeats.sigma, about)
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects, findings, gap),
-        of_copy=_verdict(False, effects, findings, gap),
+        of_copy=of_copy,
+        form=form,
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,

@@ -78,17 +78,17 @@ def measure_gap(
     """Hold readings out in turn; name, fit and predict without them. `whitened` are all readings."""
     shown = _Shown.of(linear, whitened, naming, noise)
     hold = partial(_fold, linear, whitened, shown, noise, threshold, setting_rad)
-    possible = [(label, held, _determined(linear, ~held)) for label, held in folds_of(linear)]
+    possible = [(label, held, determined(linear, ~held)) for label, held in folds_of(linear)]
     folds = [hold(label, held) for label, held, able in tracked(possible, HELD_OUT) if able]
     undetermined = tuple(label for label, _, able in possible if not able)
     if naming.found and not any(fold.counted for fold in folds):
-        thirds = [(label, held) for label, held in thirds_of(linear) if _determined(linear, ~held)]
+        thirds = [(label, held) for label, held in thirds_of(linear) if determined(linear, ~held)]
         folds += [hold(label, held) for label, held in tracked(thirds, HELD_OUT)]
     families = tuple(one.variant.family for one in naming.found)
     return Gap(tuple(folds), noise, linear.readings.unit, noise.freedom, families, undetermined)
 
 
-def _determined(linear: LinearSystem, rows: Mask) -> bool:
+def determined(linear: LinearSystem, rows: Mask) -> bool:
     """Whether some of the rows determine the coefficients."""
     fixed = linear.fixed[rows] / np.linalg.norm(linear.fixed, axis=0)
     if len(fixed) <= fixed.shape[1]:

@@ -85,6 +85,11 @@ class LinearSystem:
         of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]
         return of_channel
 
+    @property
+    def conditions(self) -> Conditions:
+        """The conditions of all readings, in the order of measurement."""
+        return self.view.conditions
+
     def rows_of(self, change: Floats) -> Floats:
         """Contract changes (n, 3) of the signals to the rows, shape (N,)."""
         return self.view.rows_of(change)

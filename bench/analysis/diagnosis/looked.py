@@ -93,7 +93,7 @@ def look(
 def _prepared(task: _Task, linear: LinearSystem) -> Looked:
     repeats = noise_of_repeats(linear, task.resolution)
     grid = make_noise_grid(linear, repeats.sigma, task.setting_rad)
-    candidates = make_candidates(linear, repeats.sigma, task.absent)
+    candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
     whitened = Whitened.of(grid, candidates)
     limit = task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
@@ -119,7 +119,7 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
         return None
     readings = task.readings
     again = make_linear(replace(readings, signal=readings.signal - change), task.model, task.stand)
-    told = make_candidates(again, looked.repeats.sigma, task.absent)
+    told = make_candidates(again, looked.repeats.sigma, absent=task.absent)
     if told.kinds != candidates.kinds:
         return None
     back = told.columns[:, columns] @ sizes

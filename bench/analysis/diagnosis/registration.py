@@ -16,6 +16,7 @@ from bench.analysis.diagnosis import (
     visibility,
     where,
 )
+from bench.analysis.diagnosis.form import describe, scatter, search
 from bench.analysis.diagnosis.holdout import folds_of, thirds_of
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.model import CATALOGUE
@@ -81,6 +82,7 @@ def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
     }
     if threshold.formulas():
         hashed["formulas"] = threshold.formulas()
+    hashed["form"] = [search.MOST_TERMS, describe.LEAST_CLOSED, scatter.SIGNIFICANT, scatter.LARGER]
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.known_together import KnownTogether
 from bench.analysis.diagnosis.linear import LinearSystem
@@ -28,6 +29,8 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "step": "a step of the signal",
     "single_reading": "a single reading that stands apart",
     "single_setting": "the angle of a single setting",
+    "zeros_by_run": "the zeros change from run to run; the readings do not say why",
+    "scale_by_run": "the scale factors change from run to run; the readings do not say why",
     "lack_of_fit": (
         "the readings differ from the model by more than their repeats, in no pattern that was looked for"
     ),
@@ -139,13 +142,15 @@ class Diagnosis:
     fitted: Posterior
     noise: NoiseSize
     p_left: float
+    form: FreeForm | None = None
     findings: tuple[NoiseFinding, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The named effects with their values, to be added to the model."""
-        return tuple(a for e in self.effects for a in e.applied)
+        """The named effects with their values, and the terms of what has no name, to be added to the model."""
+        of_form = self.form.applied if self.form is not None else ()
+        return (*(a for e in self.effects for a in e.applied), *of_form)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the promised result; who proposes a measurement or writes a model file puts them in."""
@@ -173,6 +178,7 @@ class Diagnosis:
                 "findings": [finding.to_dict() for finding in self.findings],
             },
             "p_left": self.p_left,
+            "form": None if self.form is None else self.form.to_dict(),
             "detectable": dict(self.detectable),
             "registered": asdict(self.registered),
             "notes": list(self.notes),

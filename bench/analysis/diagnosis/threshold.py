@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -41,6 +41,11 @@ class Threshold:
     p_start: float
     decay: float
     nulls: int
+
+    def at(self, probability: float) -> Threshold:
+        """Return the evidence that chance reaches with another probability."""
+        value = self.start + self.decay * float(np.log(self.p_start / probability))
+        return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
         """Probability that chance gives so much evidence, all looks counted; 1 below the fitted tail."""
@@ -87,8 +92,7 @@ def fit_tail(evidence: Floats) -> Threshold:
     start = float(ordered[-many - 1])
     decay = float(np.mean(ordered[-many:] - start))
     p_start = many / len(ordered)
-    value = start + decay * float(np.log(p_start / FALSE_ALARMS))
-    return Threshold(value, FALSE_ALARMS, start, p_start, decay, len(ordered))
+    return Threshold(start, p_start, start, p_start, decay, len(ordered)).at(FALSE_ALARMS)
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,8 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         whitened.candidates.families,
         (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
     ]
+    if readings.run.any():
+        parts += [readings.run.tolist(), None if readings.block is None else readings.block.tolist()]
     parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 

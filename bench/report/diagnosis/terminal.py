@@ -10,12 +10,14 @@ from rich.table import Table
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import quantity, typeset
 from bench.base.progress import quiet
 from bench.model import CATALOGUE
 from bench.report.diagnosis import words
+from bench.report.diagnosis.form import form_in_words
 
 LISTED_PLACES: Final = 6
 LISTED_SHIFT: Final = 0.5
@@ -30,6 +32,8 @@ def print_one(full: FullDiagnosis, out: Console) -> None:
     _places(diagnosis, out)
     for number, effect in enumerate(diagnosis.effects):
         _effect(effect, full.rivals_of(number), out)
+    if diagnosis.form is not None:
+        _form(full, diagnosis.form, out)
     if diagnosis.effects:
         _gap(diagnosis, shown, out)
     if shown.after is not None:
@@ -127,6 +131,14 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
         why = "would explain it with more parameters, the plainer one is taken"
         parts = [f"{other} {why}", words.shift_in_words(ranking, other)]
         out.print(f"  {'; '.join(filter(None, parts))}")
+
+
+def _form(full: FullDiagnosis, form: FreeForm, out: Console) -> None:
+    out.print("Its form, as a dictionary of terms describes it:", style="bold")
+    for line in form_in_words(form):
+        out.print(f"  {typeset(line)}")
+    if full.model is not None:
+        out.print(f"  to give it a name: bench accept {full.model} --name NAME --sentence TEXT")
 
 
 def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:

@@ -8,6 +8,7 @@ from typing import Final
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
@@ -275,7 +276,10 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
             text += f"; the data cannot tell it from {', '.join(effect.cannot_tell_from)}"
         if effect.plainer_than:
             text += f"; plainer than {', '.join(effect.plainer_than)}"
-        evidence[label(effect.applied[0])] = text
+        if effect.applied:
+            evidence[label(effect.applied[0])] = text
+    if diagnosis.form is not None:
+        evidence |= _evidence_for_form(diagnosis.form)
     evidence["gap"] = gap.reason
     if gap.opened:
         evidence["gap"] = (
@@ -288,6 +292,19 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
     evidence["threshold"] = f"ln odds {diagnosis.registered.threshold:.3f}"
     evidence["registered"] = diagnosis.registered.sha256
     return evidence
+
+
+def _evidence_for_form(form: FreeForm) -> dict[str, str]:
+    """Return what speaks for the terms of what has no name."""
+    closed = (
+        "not measured"
+        if form.closed is None
+        else f"{100 * form.closed:.0f} % of the gap on readings held out"
+    )
+    return {
+        **{term.effect.name: f"{term.family}; rho {term.rho:.1f}" for term in form.terms},
+        "closed by the unnamed terms": f"{closed}, {form.before:.3f} before, {form.after:.3f} after",
+    }
 
 
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:

@@ -45,7 +45,7 @@ def test_the_record_of_ranges_counts_for_more_than_the_bench_file():
 def test_what_is_absent_is_no_candidate():
     linear = make_linear(paper_run(np.random.default_rng(1)), MODEL, STAND_U)
     absent = known("paper-stand").absent(linear.readings)
-    families = make_candidates(linear, NOISE_V, absent).families
+    families = make_candidates(linear, NOISE_V, absent=absent).families
     assert set(make_candidates(linear, NOISE_V).families) - set(families) == set(absent)
 
 
