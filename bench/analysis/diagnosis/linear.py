@@ -62,7 +62,7 @@ class LinearSystem:
     setting: Ints
     moved: Conditions
     view: _View
-    orientation: Orientation | None = None
+    orientation: Orientation | None
 
     def __len__(self) -> int:
         return len(self.response)
