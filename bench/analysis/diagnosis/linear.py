@@ -46,9 +46,10 @@ class LinearSystem:
 
     `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
     angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
-    in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere. `orientation`
-    is how the block stood at the verification points, None where they do not tell it; where it contradicts the
-    bench file the installation V of `model` is as measured.
+    in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
+    `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is how
+    the block stood at the verification points, None where they do not tell it; where it contradicts the bench file
+    the installation V of `model` is as measured.
     """
 
     readings: Readings
@@ -62,10 +63,16 @@ class LinearSystem:
     setting: Ints
     moved: Conditions
     view: _View
+    problem: Problem
     orientation: Orientation | None
 
     def __len__(self) -> int:
         return len(self.response)
+
+    @property
+    def own(self) -> slice:
+        """Places in `random` of the model's own effects, which are `problem.effects`."""
+        return slice(len(self.problem.stand), len(self.problem.stand) + len(self.problem.effects))
 
     @property
     def settings(self) -> int:
@@ -205,6 +212,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
         setting,
         problem.conditions,
         view,
+        problem,
         orientation,
     )
 

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import Confirmation
 from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
@@ -202,3 +203,25 @@ def _files(full: FullDiagnosis, out: Console) -> None:
             out.print(f"{what}: {file}")
     if full.diagnosis.of_copy == "confounded" and full.model is None:
         out.print(f"no model file is written {words.why_no_model(full.diagnosis)}")
+
+
+def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
+    """Print what became of the effects of a model in new readings, and the one number."""
+    for note in notes:
+        if not quiet.get():
+            out.print(f"note: {note}")
+    for effect in found.effects:
+        for line in words.effect_now_in_words(effect):
+            out.print(line)
+    out.print(
+        f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
+        f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
+    )
+    # where the values are others, what is found beside them makes up for that
+    left = words.alike_in_words(found.diagnosis.effects)
+    if left and found.verdict == "confirmed":
+        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
+    closed = words.closed_in_words(
+        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
+    )
+    out.print(f"{source}: {found.verdict.upper()}: {closed}", style="bold")

@@ -8,6 +8,7 @@ from typing import Final
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import EffectNow
 from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
@@ -15,7 +16,7 @@ from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.analysis.diagnosis.show import CoefficientChange, Shown, label
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake
-from bench.base.numbers import fixed, quantity, rounded, two_digits
+from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset
 from bench.model import CATALOGUE
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
@@ -312,3 +313,19 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
+
+
+def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
+    """Yield what became of an effect in new readings: its verdict, and its values then and now."""
+    name = label(effect.applied)
+    if effect.verdict is None:
+        yield f"{name}: these readings do not show it"
+        return
+    chances = f"{p_in_words(effect.p_same)} of the same values, {p_in_words(effect.p_none)} of none"
+    yield f"{name}: {effect.verdict} ({typeset(chances)})"
+    for was, now in zip(effect.found, effect.now, strict=True):
+        of = f" of {was.channel}" if was.channel else ""
+        u = "" if not was.u else f" ± {two_digits(was.u)}"
+        then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
+        here = _with_u(now.value, now.u or 0.0, now.unit)
+        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
