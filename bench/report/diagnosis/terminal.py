@@ -118,6 +118,9 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
     out.print(f"  {effect.words}")
     for line in words.parameters_in_words(effect):
         out.print(f"  {line}")
+    if effect.aliases:
+        orders = words.orders_in_words(effect.aliases)
+        out.print(f"  at the angles measured what repeats {orders} times a turn would look the same")
     rho = f", {effect.rho:.1f} times the noise in all (rho)" if effect.rho is not None else ""
     out.print(typeset(f"  {words.p_in_words(effect.p_all_looks)} with all looks counted{rho}"))
     for other in effect.cannot_tell_from:
@@ -180,6 +183,14 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
         out.print(f"Measure next: {proposal.why} ({proposal.procedure})")
     if diagnosis.hidden:
         out.print(f"These readings could never show: {', '.join(diagnosis.hidden)}")
+    if diagnosis.unseen_per_turn:
+        out.print(
+            "Nor an error of the head's angle that repeats "
+            f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn: it is the same at all of them"
+        )
+    if diagnosis.absent:
+        reasons = "; ".join(f"{name} ({why})" for name, why in diagnosis.absent.items())
+        out.print(f"Not looked for, as the bench has nothing that could: {reasons}")
     if diagnosis.verdict == "agrees":
         sizes = [f"{name} {size}" for name, size in words.smallest_found(diagnosis)]
         out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")

@@ -129,6 +129,12 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return sizes
 
 
+def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
+    """Return how often a turn, the fewest first: "6, 10, 14, …"."""
+    shown = ", ".join(str(order) for order in orders[:listed])
+    return f"{shown}, …" if len(orders) > listed else shown
+
+
 UNCONFIRMED: Final = "Found, but not confirmed"
 """The verdict where nothing else explains it, and readings held out do not confirm it."""
 
