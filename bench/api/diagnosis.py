@@ -204,6 +204,7 @@ def diagnosis_of(source: Source, nominal: Floats | None = None) -> FullDiagnosis
                 source=source.name,
                 simulated=source.simulated,
                 known=known,
+                stated=source.taken.stated,
                 nominal=nominal,
             )
     except TooLittleLeft as found:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +25,7 @@ from bench.cli.options import (
     SkipOption,
     Sources,
     app,
+    one_thread,
 )
 
 if TYPE_CHECKING:
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
     from bench.api.diagnosis import Body
     from bench.api.source import Request, Source
-
-THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Where the libraries of linear algebra look for the number of their threads."""
 
 
 @app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
@@ -75,9 +73,7 @@ def diagnose(
     runs: RunsOption = RUNS,
 ) -> int:
     """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
-    # many small matrices: the threads of a linear algebra library would wait for one another
-    for name in THREADS:
-        os.environ.setdefault(name, "1")
+    one_thread()
     from bench.analysis.diagnosis.free_positions import all_free
     from bench.analysis.diagnosis.full import TooLittleLeft
     from bench.api.source import Request, load_sources

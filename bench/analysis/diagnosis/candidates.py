@@ -7,7 +7,7 @@ Beside the catalogue stand unnamed families, which describe what nothing in the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -161,15 +161,17 @@ def make_candidates(
     unit_noise: float,
     mount_sets: MountSets | None = None,
     unnamed: Callable[[Collector, float], None] | None = None,
+    *,
+    absent: Collection[str] = (),
 ) -> Candidates:
-    """Collect all that might be missing in these readings.
+    """Collect all that might be missing in these readings, but for effects that are `absent` from the bench.
 
     `unit_noise` is the size of the noise of a reading, unit of the signal: what is unnamed has no other scale.
     Several runs have other `mount_sets` and other families that are `unnamed` than one.
     """
     collector = Collector(linear)
     for effect in CATALOGUE.values():
-        if linear.readings.unit == "V" or not in_volts(effect):
+        if effect.name not in absent and (linear.readings.unit == "V" or not in_volts(effect)):
             _add_effect(collector, effect, mount_sets or _mount_sets)
     collector.variants = [v for v in collector.variants if not _in_model(v, linear.model.effects)]
     (unnamed or _add_unnamed)(collector, unit_noise)

@@ -12,6 +12,7 @@ import numpy as np
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.diagnosis.alternatives import Rival, rivals
 from bench.analysis.diagnosis.course import diagnose
+from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.next_measurement import Proposal, propose
 from bench.analysis.diagnosis.result import Diagnosis, mistake_to_dict
 from bench.analysis.diagnosis.show import Shown, contradicted, show
@@ -121,6 +122,9 @@ class TooLittleLeft(CalibrationError):
             "next_measurement": None,
             "hidden": [],
             "hidden_parts": {},
+            "absent": {},
+            "unseen_per_turn": [],
+            "verification_orientation": None,
             "gap": None,
             "model": None,
             "noise": None,
@@ -152,20 +156,23 @@ def diagnose_fully(
     source: str,
     simulated: bool,
     known: Sequence[Mistake] = (),
+    stated: bool = True,
     nominal: Floats | None = None,
 ) -> FullDiagnosis:
     """Diagnose readings that were taken on a bench, and work out what follows; nothing is written.
 
     `source` is what they are called, `simulated` whether they come from simulated instruments, `known` mistakes
     that are put right in them already, `nominal` (blocks, 3) the scale factors of several blocks where they are
-    not all that of the bench file. Raises `CalibrationError` where the readings do not determine the
+    not all that of the bench file. Where nobody `stated` that the readings are of this bench, nothing is
+    concluded from what meters and head it has. Raises `CalibrationError` where the readings do not determine the
     coefficients: `TooLittleLeft` where some were known.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal
     sheet_of_unit = sheet if readings.unit == "V" else None
     try:
-        diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache)
+        there = KnownBench.of(bench) if stated else NOTHING_KNOWN
+        diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
     except CalibrationError as reason:
         if known:
             raise TooLittleLeft(known, str(reason), simulated=simulated) from reason
@@ -173,14 +180,15 @@ def diagnose_fully(
     if known:
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
         diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
+    model = diagnosis.linear.model
     blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
     shown = blocks[0]
-    stated = contradicted(model.effects, shown.before.effects)
+    told = contradicted(model.effects, shown.before.effects)
     return FullDiagnosis(
         source=source,
         simulated=simulated,
         skipped_rows=readings.skipped,
-        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *stated)),
+        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *told)),
         shown=shown,
         ranking=rivals(diagnosis, stand_u["setting_error"]),
         # a proposal is for one block: which of several would be measured again, nobody said

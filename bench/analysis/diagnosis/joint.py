@@ -90,6 +90,11 @@ def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
         ),
         moved=readings.select(readings.is_oriented).conditions(),
         view=first.view,
+        problem=first.problem,
+        orientation=next(
+            (p.orientation for p in parts if p.orientation is not None and p.orientation.contradicts),
+            first.orientation,
+        ),
         parts=tuple(parts),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -54,6 +54,7 @@ class _EachRun:
     setting_rad: float
     sigma: float
     cache: ThresholdCache
+    absent: Collection[str]
 
 
 def look_at_runs(
@@ -63,15 +64,16 @@ def look_at_runs(
     setting_rad: float,
     cache: ThresholdCache,
     resolution: float,
+    absent: Collection[str] = (),
 ) -> tuple[Looked, Naming]:
     """Prepare readings of several runs and find what is missing; arguments and errors as of `look` for one."""
     linear = make_system(readings, model, stand)
     repeats = noise_of_repeats(linear, resolution)
     whitened = Whitened.of(
-        make_noise_grid(linear, repeats.sigma, setting_rad), candidates_of(linear, repeats.sigma)
+        make_noise_grid(linear, repeats.sigma, setting_rad), candidates_of(linear, repeats.sigma, absent)
     )
     limit = cache.threshold(linear, whitened, setting_rad).at(TOGETHER)
-    each = _EachRun(stand, setting_rad, repeats.sigma, cache)
+    each = _EachRun(stand, setting_rad, repeats.sigma, cache, absent)
     whitened, naming = _name_in_all_and_each(linear, whitened, limit, each)
     data = whitened.reduce(linear.response[:, None])
     bend = np.zeros(len(linear))
@@ -139,7 +141,7 @@ def _look_in_each(
     found: list[Found] = []
     runs = list(_runs(linear, columns @ common, each.stand_u))
     for run in tracked(runs, "runs, each by itself"):
-        own = make_candidates(run.linear, sigma)
+        own = make_candidates(run.linear, sigma, absent=each.absent)
         whitened = Whitened.of(make_noise_grid(run.linear, sigma, each.setting_rad), own)
         if limit is None:
             limit = each.cache.threshold(run.linear, whitened, each.setting_rad).at(ALONE / len(runs))

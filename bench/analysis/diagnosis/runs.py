@@ -6,7 +6,7 @@ stands apart) is looked for in that run, beside what all have.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Final
 
 import numpy as np
@@ -38,11 +38,11 @@ OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_dri
 """What begins anew with every run need not be as large in each."""
 
 
-def candidates_of(linear: LinearSystem, unit_noise: float) -> Candidates:
+def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
     """Collect all that might be missing in these readings, of one run or of several; arguments as for one."""
     if not linear.readings.run.any():
-        return make_candidates(linear, unit_noise)
-    return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed)
+        return make_candidates(linear, unit_noise, absent=absent)
+    return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)
 
 
 # --- effects of the catalogue -------------------------------------------------------------------------

@@ -139,7 +139,7 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(readings.time_s / 10).tolist(),
         np.round(readings.temperature_c, 2).tolist(),
         {name: cells.tolist() for name, cells in readings.extra.items() if name in DESIGN_COLUMNS},
-        {k: np.round(v.block_from_platform, 6).tolist() for k, v in linear.model.installations.items()},
+        {k: np.round(v.block_from_platform, 2).tolist() for k, v in linear.model.installations.items()},
         [(a.effect.name, a.channels, a.installations, sorted(a.values)) for a in linear.model.effects],
         np.round(linear.block.K / scale, 2).tolist(),
         np.round(linear.block.U0 / scale, 2).tolist(),
@@ -148,6 +148,7 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         round(setting_rad * 1e9),
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
+        whitened.candidates.families,
         (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
     ]
     if readings.run.any():
