@@ -93,7 +93,7 @@ class Sizes:
 
 
 def believed_sizes(
-    scatter: Floats, freedom: Ints, slope: Floats, floor: float | Floats, *, one_size: bool = False
+    scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: float | Floats, *, one_size: bool = False
 ) -> Sizes:
     """Return the sizes of many runs, of each channel its own where they are not of one size.
 

@@ -8,7 +8,7 @@ enough and whose modulus alone tells, |a| = 1 g; three for each reading of a sho
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -45,7 +45,8 @@ class LinearSystem:
 
     `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
     angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
-    in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
+    in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere. `by_channel`
+    (3,) is how large the noise of a channel is beside the others', 1 on the average of squares.
     """
 
     readings: Readings
@@ -59,6 +60,7 @@ class LinearSystem:
     setting: Ints
     moved: Conditions
     view: _View
+    by_channel: Floats = field(default_factory=lambda: np.ones(3))
 
     def __len__(self) -> int:
         return len(self.response)
@@ -70,8 +72,18 @@ class LinearSystem:
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square over the settings of the length of du/dphi."""
-        return float(np.sqrt(np.sum(self.slope**2) / max(self.settings, 1)))
+        """Root mean square over the settings of the length of du/dphi, each channel in units of its noise."""
+        return float(np.sqrt(np.sum((self.slope / self.relative) ** 2) / max(self.settings, 1)))
+
+    @cached_property
+    def relative(self) -> Floats:
+        """How large the noise of a row is, 1 for a channel of average noise, shape (N,)."""
+        size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
+        modulus = self.rows.channel == MODULUS
+        if modulus.any():
+            place = np.searchsorted(self.view.moduli, self.rows.reading[modulus])
+            size[modulus] = np.linalg.norm(self.view.by_signal[place] * self.by_channel, axis=1)
+        return size
 
     def rows_of(self, change: Floats) -> Floats:
         """Contract changes (n, 3) of the signals to the rows, shape (N,)."""

@@ -16,6 +16,7 @@ import numpy as np
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis.applied import applied_of
 from bench.analysis.diagnosis.candidates import Candidates, make_candidates
+from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.naming import MOST_EFFECTS, Naming, name
@@ -31,6 +32,8 @@ BENT: Final = 0.3
 """What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
 STEPS: Final = 6
 """Steps after which what is not linear yet stays as it is: it is left over, and told."""
+SAME_SIZE: Final = 0.1
+"""Sizes of the channels' noise within such a part of each other are the same."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +72,24 @@ def look(
 ) -> tuple[Looked, Naming]:
     """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
 
+    The channels have noise of one size at first. What is left beside all that was found says whether they have:
+    never what is left beside nothing, which a slip makes large in one channel. If not, all is looked for again.
+
     `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
     `resolution` the last digit of the signals. Raises `CalibrationError` where there is too little to fit.
     """
     task = _Task(readings, model, stand, setting_rad, resolution, cache)
-    looked = _prepared(task, make_linear(readings, model, stand))
+    looked, naming = _straight(task, _prepared(task, make_linear(readings, model, stand)))
+    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming)
+    if np.max(np.abs(np.log(sizes / looked.linear.by_channel))) < SAME_SIZE:
+        return looked, naming
+    bend = looked.bend
+    looked = _prepared(task, replace(looked.linear, by_channel=sizes))
+    return _straight(task, replace(looked, bend=bend))
+
+
+def _straight(task: _Task, looked: Looked) -> tuple[Looked, Naming]:
+    """Find what is missing, about a point near enough."""
     most = 1
     naming = name(looked.whitened, looked.data, looked.limit, most)
     for _ in range(STEPS):
@@ -120,7 +136,7 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
     if told.kinds != candidates.kinds:
         return None
     back = told.columns[:, columns] @ sizes
-    about = replace(again, readings=readings, response=again.response + back)
+    about = replace(again, readings=readings, response=again.response + back, by_channel=linear.by_channel)
     whitened = Whitened.of(make_noise_grid(about, looked.repeats.sigma, task.setting_rad), told)
     data = whitened.reduce(about.response[:, None])
     return Looked(about, looked.repeats, told, whitened, data, looked.limit, moved - back)

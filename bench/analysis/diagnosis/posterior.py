@@ -100,7 +100,9 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:
     """Return R^(-1/2) times columns of the given rows; whole settings must be among them."""
-    slope = linear.slope[rows][:, None]
+    relative = linear.relative[rows][:, None]
+    columns = columns / relative
+    slope = linear.slope[rows][:, None] / relative
     setting = linear.setting[rows]
     factor = (noise.setting_rad / noise.reading) ** 2
     oriented = setting >= 0
