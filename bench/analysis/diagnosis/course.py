@@ -24,9 +24,11 @@ from bench.analysis.diagnosis.looked import look
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
 from bench.analysis.diagnosis.noise_grid import RATIOS
+from bench.analysis.diagnosis.noise_kinds import noise_kinds
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
+from bench.analysis.diagnosis.rounding import digit_of
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
 from bench.analysis.diagnosis.where import find_places
@@ -58,9 +60,8 @@ def diagnose(
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
     mistakes = find_mistakes(readings, model, stand_u, nominal_scale_factors)
-    looked, naming = look(
-        mistakes.corrected, model, stand, setting_rad, cache or ThresholdCache(None), readings.resolution
-    )
+    digit = digit_of(readings)
+    looked, naming = look(mistakes.corrected, model, stand, setting_rad, cache or ThresholdCache(None), digit)
     linear, candidates, whitened, data = looked.linear, looked.candidates, looked.whitened, looked.data
     repeats, grid, limit = looked.repeats, looked.whitened.grid, looked.limit
     registered = register(linear, limit)
@@ -74,7 +75,8 @@ def diagnose(
     effects = _effects(candidates, naming, fitted, limit)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
-    findings = noise_findings(noise, readings, stand_u, linear.typical_slope)
+    described = tuple(noise_kinds(linear, noise, looked.weighed, digit))
+    findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit)
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects, findings),
         of_copy=_verdict(False, effects, findings),
@@ -92,7 +94,8 @@ def diagnose(
         noise=noise,
         p_left=p_left,
         findings=findings,
-        notes=(*readings.notes, *(f.words for f in findings), *_assumed(mistakes.corrected)),
+        noise_kinds=described,
+        notes=(*readings.notes, *(f.words for f in (*findings, *described)), *_assumed(mistakes.corrected)),
     )
 
 
@@ -142,6 +145,8 @@ def _p_left(whitened: Whitened, data: Data, naming: Naming) -> float:
     if taken <= 0 or freedom <= 0:
         return 1.0
     lack = max(of_model[ratio] - of_repeats[ratio], 0.0) / taken
+    if grid.known:  # readings that are rounded alike repeat themselves: their scatter tells nothing
+        return float(special.chdtrc(taken, lack * taken))
     return float(special.fdtrc(taken, freedom, lack / (of_repeats[ratio] / freedom)))
 
 

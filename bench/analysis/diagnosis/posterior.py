@@ -61,9 +61,11 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
     weight /= weight.sum()
     freedom = grid.freedom - len(known)
     sigma2 = left.square[:, 0] / freedom
+    if grid.known:
+        sigma2 = np.maximum(sigma2, 1.0)
     setting2 = sigma2 * grid.setting_rad_per_noise**2
     return NoiseSize(
-        grid.sigma * float(np.sqrt(weight @ sigma2)), grid.sigma * float(np.sqrt(weight @ setting2)), freedom
+        float(grid.sigma * np.sqrt(weight @ sigma2)), float(grid.sigma * np.sqrt(weight @ setting2)), freedom
     )
 
 
