@@ -3,13 +3,15 @@
     python -m benchmarks.signed_uncertainty --cases all --runs 2500 --workers 2
     python -m benchmarks.signed_uncertainty --cases stand roll meters noise temperature walk setting --runs 600
     python -m benchmarks.signed_uncertainty --pairs 2000 --cases roll meters temperature all
+    python -m benchmarks.signed_uncertainty --bound 600
 
 For each case (tests/support/whole_truth.py, whose truth shares nothing with the model): root mean square of
 (estimate - truth)/u of each coefficient, with the combined u and with that of the readings, coverage of k = 2,
 rms z of delta g at the verification points. For cases of known size the variance that a source adds to the
 estimates (the same run with and without it) over what it adds to u^2. `--pairs`: how often two calibrations of a
 block that was remounted are said to differ, and how often a change of six standard uncertainties of the difference
-in one coefficient is found. Exit status 1 where a bar is broken.
+in one coefficient is found. `--bound`: runs with noise and stand alone beside the fit that is told the sizes of the
+noise, whose u is the Cramer-Rao bound. Exit status 1 where a bar is broken.
 """
 
 from __future__ import annotations
@@ -29,16 +31,19 @@ from scipy import stats
 from bench.analysis.budget.sources import assumed_stand
 from bench.analysis.budget.whole import delta_g_covariance, sign
 from bench.analysis.calibration import calibrate
-from bench.analysis.calibration.result import Calibration
+from bench.analysis.calibration.result import Calibration, Noise
 from bench.analysis.history.comparison import Snapshot, compare
 from bench.api.face import load_bench
 from bench.base.arrays import Floats
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
+from tests.support.paper_bench import SETTING_U_RAD
 from tests.support.whole_truth import CASES, Bench, simulate_whole
 
 CHUNK = 50
+ONE_IN = 4
+"""One pair in so many is compared again with a change in it."""
 TODAY = datetime(2026, 1, 1, tzinfo=UTC)
 KNOWN = {
     "roll": ("mounting_roll",),
@@ -162,9 +167,9 @@ def show(case: str, parts: list[tuple[Floats, ...]], runs: int) -> list[str]:
     return broken
 
 
-def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int]:
-    """Return how many pairs were compared, said to differ, and found with a change of 6 u in one coefficient."""
-    differ = found = 0
+def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int]:
+    """Return how many pairs were compared, said to differ, changed by 6 u in one coefficient, and then found."""
+    differ = changed = found = 0
     for k in numbers:
         rng = np.random.default_rng([seed, 100 + CASES.index(case), k])
         bench = Bench.drawn(rng, case)
@@ -172,12 +177,15 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int]:
         second = own().of(simulate_whole(rng, case, bench).readings)
         unchanged = compare([_snapshot(first, "a"), _snapshot(second, "b")])
         differ += unchanged.changed
+        if k % ONE_IN:
+            continue
+        changed += 1
         j = int(rng.integers(12))
         change = np.zeros(12)
         change[j] = 6 * unchanged.changes[0].u[j]
         moved = own().of(simulate_whole(rng, case, bench, change=change).readings)
         found += compare([_snapshot(first, "a"), _snapshot(moved, "c")]).changed
-    return len(numbers), differ, found
+    return len(numbers), differ, changed, found
 
 
 def _snapshot(found: Calibration, name: str) -> Snapshot:
@@ -188,32 +196,69 @@ def _snapshot(found: Calibration, name: str) -> Snapshot:
     )  # fmt: skip
 
 
+def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return errors of the fit and of the one that knows the noise (runs, 12), u of the readings, the bound."""
+    known = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
+    rows = []
+    for k in numbers:
+        drawn = simulate_whole(np.random.default_rng([seed, 200, k]), "stand")
+        found = calibrate(drawn.readings, own().model, own().stand_u, 9.81)
+        best = calibrate(drawn.readings, own().model, own().stand_u, 9.81, noise=known, find_shared=False)
+        errors = [each.block.vector - drawn.truth for each in (found, best)]
+        rows.append([*errors, found.u_readings, best.u])
+    error, ideal, u, bound = (np.array(column) for column in zip(*rows, strict=True))
+    return error, ideal, u, bound
+
+
+def show_bound(parts: list[tuple[Floats, Floats, Floats, Floats]], runs: int) -> list[str]:
+    error, ideal, u, bound = (np.concatenate(column) for column in zip(*parts, strict=True))
+    # both estimate from the same readings, so the ratio of their scatters is known better than either
+    scatter = np.sqrt(np.mean(error**2, axis=0) / np.mean(ideal**2, axis=0))
+    stated = np.mean(u, axis=0) / np.mean(bound, axis=0)
+    apart = np.sqrt(np.var(error**2 - ideal**2, axis=0) / runs) / (2.0 * np.mean(ideal**2, axis=0))
+    print(f"\nbeside the Cramer-Rao bound: {runs} runs")
+    for what, values in (("scatter", scatter), ("its s. error", apart), ("mean u", stated)):
+        print(f"  {what:12}" + " ".join(f"{v:6.3f}" for v in values))
+    return [
+        f"{n}: scatter {s:.3f}, mean u {m:.3f} of the bound"
+        for n, s, a, m in zip(COEFFICIENTS, scatter, apart, stated, strict=True)
+        if s > 1.03 + 3.0 * a or m > 1.15
+    ]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--runs", type=int, default=2500)
     parser.add_argument("--pairs", type=int, default=0)
+    parser.add_argument("--bound", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     broken: list[str] = []
     begun = time.perf_counter()
-    count = given.pairs or given.runs
+    count = given.bound or given.pairs or given.runs
     chunks = [range(i, min(i + CHUNK, count)) for i in range(0, count, CHUNK)]
     with ProcessPoolExecutor(given.workers) as pool:
-        for case in given.cases:
+        if given.bound:
+            broken += show_bound(
+                list(pool.map(beside_bound, [given.seed] * len(chunks), chunks)), given.bound
+            )
+        for case in given.cases if not given.bound else ():
             of = [case] * len(chunks), [given.seed] * len(chunks), chunks
             if given.pairs:
-                n, differ, found = (sum(column) for column in zip(*pool.map(pairs, *of), strict=True))
+                n, differ, changed, found = (
+                    sum(column) for column in zip(*pool.map(pairs, *of), strict=True)
+                )
                 upper = float(stats.beta.ppf(0.99, differ + 1, n - differ))
                 share = f"{differ / n:.3f}, upper 99 % {upper:.3f}"
                 print(
-                    f"{case}: {differ} of {n} pairs said to differ ({share}), {found} changes found",
+                    f"{case}: {differ} of {n} pairs said to differ ({share}), {found} of {changed} changes found",
                     flush=True,
                 )
                 broken += [f"{case}: differ in {upper:.3f}"] * (upper > 0.07) + [
-                    f"{case}: found {found} of {n}"
-                ] * (found < 0.98 * n)
+                    f"{case}: found {found} of {changed}"
+                ] * (found < 0.98 * changed)
             else:
                 broken += show(case, list(pool.map(run, *of)), count)
                 sys.stdout.flush()

@@ -157,6 +157,14 @@ def data_sha256(readings: Readings) -> str:
     return sha256(format_csv(readings).encode())
 
 
+def _knows(stated: str | None, readings: Readings) -> bool:
+    """Whether these readings are among those of a model file's hashes; earlier versions hashed every bit."""
+    hashes = (stated or "").split()
+    return bool(hashes) and (
+        data_sha256(readings) in hashes or sha256(format_csv(readings, to_the_bit=True).encode()) in hashes
+    )
+
+
 def _load(given: Given, request: Request) -> Source:
     run = _run_of(given, request.runs) if isinstance(given, str) else None
     told = Told()
@@ -222,10 +230,16 @@ def _of_model_file(
     Its values have then seen the readings: as priors they would count them twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
-    if data_sha256(readings) not in (file.data_sha256 or "").split():
-        return model, ()
+    dark: tuple[str, ...] = ()
+    if file.dark_uncertainty is not None:
+        dark = (
+            f"model {file.name} leaves {file.dark_uncertainty} in each reading unexplained (dark uncertainty): "
+            "it has terms without a name",
+        )
+    if not _knows(file.data_sha256, readings):
+        return model, dark
     note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
-    return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note,)
+    return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note, *dark)
 
 
 def _run_of(name: str, runs: Path) -> Run | None:

@@ -56,7 +56,8 @@ class EffectEntry(FileModel):
 class ModelFile(FileModel):
     """A model file: `parent` is the model that it was made from, `data_sha256` what it was found in.
 
-    `evidence` is kept as text for the reader of the file; nothing is computed from it.
+    `evidence` is kept as text for the reader of the file; nothing is computed from it. `dark_uncertainty` is what
+    stays unexplained in each reading beside terms that have no name (1 σ): whoever uses the file is told.
     """
 
     model_file: Literal["1"]
@@ -64,6 +65,7 @@ class ModelFile(FileModel):
     parent: str = "paper"
     data_sha256: str | None = None
     evidence: dict[str, str] = Field(default_factory=dict)
+    dark_uncertainty: str | None = None
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
 
@@ -251,6 +253,7 @@ def write_model_file(
     parent: str = "paper",
     data_sha256: str | None = None,
     evidence: Mapping[str, object] | None = None,
+    dark_uncertainty: str | None = None,
 ) -> None:
     """Write a model file that `load_model` reads back to the same values.
 
@@ -261,6 +264,8 @@ def write_model_file(
         content["data_sha256"] = data_sha256
     if evidence:
         content["evidence"] = {key: str(value) for key, value in evidence.items()}
+    if dark_uncertainty is not None:
+        content["dark_uncertainty"] = dark_uncertainty
     formulas = written_formulas(applied.effect for applied in effects)
     if formulas:
         content["formulas"] = formulas

@@ -344,11 +344,13 @@ def write_csv(readings: Readings, path: Path) -> None:
     path.write_text(format_csv(readings), encoding="utf-8", newline="")
 
 
-def format_csv(readings: Readings) -> str:
+def format_csv(readings: Readings, *, to_the_bit: bool = False) -> str:
     """Return the readings file as text.
 
-    Numbers are written so that they read back to the same value, angles to within 1e-12 degrees.
+    Numbers are written so that they read back to the same value, but for what adding up samples has rounded: 0.91
+    where their mean is 0.9099999999999999, with `to_the_bit` that, too. Angles to within 1e-12 degrees.
     """
+    signal = _text if to_the_bit else _signal
     suffix = next(s for s, unit in UNITS.items() if unit == readings.unit)
     table: dict[str, Iterable[str]] = {
         "series": (str(v) for v in readings.series),
@@ -363,7 +365,7 @@ def format_csv(readings: Readings) -> str:
         "samples": (str(v) for v in readings.samples),
     }
     for i, axis in enumerate("xyz"):
-        table[f"u{axis}_{suffix}"] = (_text(v) for v in readings.signal[:, i])
+        table[f"u{axis}_{suffix}"] = map(signal, readings.signal[:, i].tolist())
     for i, axis in enumerate("xyz"):
         table[f"u{axis}_sd_{suffix}"] = (_text(v) for v in readings.signal_sd[:, i])
     table.update({as_cell(name): map(as_cell, cells.tolist()) for name, cells in readings.extra.items()})
@@ -382,3 +384,15 @@ def _degrees(angle_rad: Floats) -> Floats:
 def _text(value: float) -> str:
     """Shortest text that reads back to the same value; empty for not given."""
     return "" if math.isnan(value) else repr(float(value))
+
+
+ROUNDED: Final = 16
+"""A sum of some samples may be off by so many steps of its last bit."""
+
+
+def _signal(value: float) -> str:
+    """Return `value` as text, without what the sum of a mean has rounded; empty for not given."""
+    if math.isnan(value):
+        return ""
+    short = float(f"{value:.12g}")
+    return repr(short if abs(short - value) <= ROUNDED * math.ulp(value) else float(value))

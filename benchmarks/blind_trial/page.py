@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.blind_trial.cases import Row
-from benchmarks.blind_trial.score import Outcome, Share
+from benchmarks.blind_trial.score import NOT_SHRUNK, Outcome, Share
 
 _DOCS: Final = Path(__file__).parents[2] / "docs"
 PAGE: Final = _DOCS / "diagnosis.md"
@@ -64,10 +64,10 @@ def part(result: Stored) -> str:
     """Return the part of the page: what made it, sums over rows, the tables."""
     size = f"{result['cases']:,} cases, {result['seconds']:,} s{result['on']}"
     made = f"Measured with `{result['command']}` ({size})."
-    return "\n\n".join((made, *_sums(result), tables(result)))
+    return "\n\n".join((made, *sums(result), tables(result)))
 
 
-def _sums(result: Stored) -> Iterator[str]:
+def sums(result: Stored) -> Iterator[str]:
     """Yield the sentences on rows of a kind taken together."""
 
     def sum_of(kind: str, column: str, low: float, high: float) -> str:
@@ -90,6 +90,10 @@ def _sums(result: Stored) -> Iterator[str]:
             f"a name alone right {sum_of('single', 'alone right', low, high)}."
         )
     yield f"With nothing hidden, {sum_of('null', 'agrees', 0, np.inf)} agree."
+    alone = [row["score"][NOT_SHRUNK] for row in result["rows"] if NOT_SHRUNK in row["score"]]
+    if alone:
+        larger = Share(sum(c[0] for c in alone), sum(c[1] for c in alone))
+        yield f"Named in any row, with a gap on readings held out that is not smaller or not measured: {larger}."
 
 
 def tables(result: Stored) -> str:

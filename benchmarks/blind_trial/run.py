@@ -24,7 +24,7 @@ from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case, seal
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.noises import NOISES
-from benchmarks.blind_trial.page import stored, tables, write
+from benchmarks.blind_trial.page import stored, sums, tables, write
 from benchmarks.blind_trial.score import (
     Diagnose,
     Marks,
@@ -182,6 +182,7 @@ def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) 
     seconds = round(time.perf_counter() - start)
     result = stored(rows, shares, outcomes, _made(given, seconds))
     print(tables(result), file=report)
+    print("\n" + "\n".join(sums(result)), file=report)
     print(f"\n{len(tasks)} cases, seed {given.seed}, {seconds} s", file=report)
     if given.page:
         write(result)

@@ -110,6 +110,28 @@ def judge(
     Only what applies is there: a name alone is judged where one was given. `likeness` gives the largest
     cosine of an effect outside the catalogue to a member of it; those above 0.8 are counted apart.
     """
+    marks = _judge_kind(case, answer, diagnosis, can_tell, likeness)
+    if diagnosis["verdict"] == "named":
+        marks[NOT_SHRUNK] = not _shrank(diagnosis["gap"])
+    return marks
+
+
+def _shrank(gap: dict[str, Any]) -> bool:
+    """Say whether both sizes of the gap on readings held out are there and smaller than before."""
+    sizes = [(gap.get(f"before{of}"), gap.get(f"after{of}")) for of in ("", "_rms")]
+    return all(before is not None and after is not None and after < before for before, after in sizes)
+
+
+NOT_SHRUNK: Final = "named, the gap not smaller"
+
+
+def _judge_kind(
+    case: Case,
+    answer: Answer,
+    diagnosis: Diagnosis,
+    can_tell: CanTell,
+    likeness: Callable[[Answer], float] | None,
+) -> Marks:
     verdict = diagnosis["verdict"]
     kind = answer.kind.split(":")[0]
     if kind == "null":

@@ -5,6 +5,7 @@ Source of the format: RFC 4180 and the promises on the columns in `bench.reading
 
 import csv
 import io
+import math
 
 import numpy as np
 import pytest
@@ -242,6 +243,18 @@ def test_written_angles_read_as_a_person_would_write_them(read):
     assert [row["angle_deg"] for row in rows] == ["0.0", "45.0", "100.1", "359.999999", "-33.333333333333"]
 
 
+def test_a_mean_of_samples_is_written_without_what_its_sum_has_rounded(read):
+    """Five replies as a meter gave them; what differs by more than their sum can round stays as it is."""
+    mean = float(np.mean([-1.48568] * 4 + [-1.48567]))
+    near = 0.25 + 40 * math.ulp(0.25)
+    table = read([HEADER, f"1,1,1,0,{mean!r},{near!r},{-mean!r}"])
+    row = next(csv.DictReader(io.StringIO(format_csv(table))))
+    assert repr(mean) == "-1.4856779999999998"
+    assert [row[f"u{axis}_v"] for axis in "xyz"] == ["-1.485678", repr(near), "1.485678"]
+    kept = next(csv.DictReader(io.StringIO(format_csv(table, to_the_bit=True))))
+    assert float(kept["ux_v"]) == mean
+
+
 finite = st.floats(-1e6, 1e6)
 maybe = st.one_of(st.just(np.nan), finite)
 text = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
@@ -260,7 +273,7 @@ row = st.tuples(
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rows=st.lists(row, min_size=1, max_size=5), unit=st.sampled_from(list(UNITS.values())))
 def test_round_trip_to_the_last_digit(tmp_path, rows, unit):
-    """What is written reads back to the very same numbers and texts; angles given to 1e-9 degrees too."""
+    """The very same numbers and texts, angles given to 1e-9 degrees too; signals but for what a sum can round."""
     labels, angles, signals, deviations, times, temperatures, directions, notes = zip(*rows, strict=True)
     n = len(rows)
     table = Readings(
@@ -284,6 +297,7 @@ def test_round_trip_to_the_last_digit(tmp_path, rows, unit):
     back = read_csv(tmp_path / "round.csv", ("1", "2"))
     assert back.unit == unit
     for name in ("series", "installation", "pass_number", "point", "angle_rad", "target_rad", "direction",
-                 "time_s", "temperature_c", "signal", "signal_sd", "samples"):  # fmt: skip
+                 "time_s", "temperature_c", "signal_sd", "samples"):  # fmt: skip
         np.testing.assert_array_equal(getattr(back, name), getattr(table, name), err_msg=name)
+    assert np.all(np.abs(back.signal - table.signal) <= 16 * np.spacing(np.abs(table.signal)))
     assert back.extra["note"].tolist() == table.extra["note"].tolist()

@@ -10,6 +10,7 @@ from benchmarks.blind_trial.geometry import Floats
 
 SEED = 20261122
 NOISE_V = 15e-6
+CLOSES = {"before": 2.0, "after": 1.0, "before_rms": 4e-5, "after_rms": 3e-5}
 
 
 def mistaken(name: str, wanted: str) -> tuple[Floats, Case, Answer]:
@@ -32,4 +33,4 @@ def single(name: str, design: str = "paper") -> tuple[Case, Answer]:
 
 def said(verdict: str, *effects: tuple[str, list[str]], hidden: tuple[str, ...] = ()) -> dict[str, Any]:
     found = [{"name": name, "cannot_tell_from": others} for name, others in effects]
-    return {"verdict": verdict, "effects": found, "hidden": list(hidden)}
+    return {"verdict": verdict, "effects": found, "hidden": list(hidden), "gap": dict(CLOSES)}

@@ -7,7 +7,7 @@ columns say is put back: a step of Gauss and Newton, after which all is as befor
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -65,6 +65,7 @@ class _Task:
     setting_rad: float
     resolution: float
     cache: ThresholdCache
+    absent: Collection[str]
 
     def linear(self, readings: Readings) -> LinearSystem:
         """Make readings linear; with the error of rounding that repeats, where the last digit is coarse."""
@@ -80,6 +81,7 @@ def look(
     setting_rad: float,
     cache: ThresholdCache,
     resolution: float,
+    absent: Collection[str] = (),
 ) -> tuple[Looked, Naming]:
     """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
 
@@ -88,9 +90,10 @@ def look(
     Nor has the noise heavy tails at first; where it has, readings far out are weighed down.
 
     `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
-    `resolution` the last digit of the signals. Raises `CalibrationError` where there is too little to fit.
+    `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
+    Raises `CalibrationError` where there is too little to fit.
     """
-    task = _Task(readings, model, stand, setting_rad, resolution, cache)
+    task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
     looked, naming = _straight(task, _prepared(task, task.linear(readings)))
     if looked.whitened.grid.known:
         return looked, naming
@@ -126,7 +129,7 @@ def _straight(task: _Task, looked: Looked) -> tuple[Looked, Naming]:
 def _prepared(task: _Task, linear: LinearSystem) -> Looked:
     repeats = noise_of_repeats(linear, task.resolution)
     grid = _grid(task, linear, repeats)
-    candidates = make_candidates(linear, repeats.sigma)
+    candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
     whitened = Whitened.of(grid, candidates)
     limit = task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
@@ -160,7 +163,7 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
         again = task.linear(replace(readings, signal=readings.signal - change))
     except CalibrationError:  # what was found is too large to be true
         return None
-    told = make_candidates(again, looked.repeats.sigma)
+    told = make_candidates(again, looked.repeats.sigma, absent=task.absent)
     if told.kinds != candidates.kinds:
         return None
     back = told.columns[:, columns] @ sizes

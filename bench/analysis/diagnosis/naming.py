@@ -18,6 +18,9 @@ from bench.model import CATALOGUE
 MOST_EFFECTS: Final = 5
 LEAK: Final = 2.5
 """A candidate ties when it leaves no more than this, in units of noise, of what the found effect explains."""
+LEAST_EXPLAINED: Final = 0.5
+"""A candidate ties by its geometry only when it explains so much of the square: what is hardly larger than the
+leak could be left by anything."""
 FIRST_OF_PAIR: Final = 12
 """So many effects are tried as the first of a pair."""
 PAIR_MARGIN: Final = 5.0
@@ -25,7 +28,7 @@ PAIR_MARGIN: Final = 5.0
 ABSURD: Final = 60.0
 """What would have to be so many plausible sizes large ties with nothing."""
 LESS_PLAUSIBLE: Final = 4.0
-"""A candidate ties when the ln of its evidence is no further below."""
+"""A candidate ties when the ln of its evidence is no further below, and speaks for it at all: above 0."""
 
 
 @dataclass(frozen=True)
@@ -132,20 +135,28 @@ class Scored:
         return np.asarray(amplitude, dtype=np.float64), gram
 
 
-def name(whitened: Whitened, data: Data, threshold: Threshold, most: int = MOST_EFFECTS) -> Naming:
-    """Find what is missing in one data set, `most` effects at most."""
-    found: list[Found] = []
+def name(
+    whitened: Whitened,
+    data: Data,
+    threshold: Threshold,
+    most: int = MOST_EFFECTS,
+    begun: Sequence[Found] = (),
+) -> Naming:
+    """Find what is missing in one data set, `most` effects at most beside those that were `begun` with."""
+    found = list(begun)
     while True:
         scored = Scored.beside(whitened, data, _columns(found))
-        if scored.total < threshold.value or len(found) == most:
+        if scored.total < threshold.value or len(found) == most + len(begun):
             break
         best = scored.best()
         pair = None if best.variant.named else _named_pair(scored, data, best)
         found += pair or [best]
         if len(found) > 1:
-            found = _re_examine(whitened, data, found)
-    tied = tuple(_tied(Scored.beside(whitened, data, _columns(found, but=i)), f) for i, f in enumerate(found))
-    return Naming(tied, scored.total)
+            found = held(whitened, data, _re_examine(whitened, data, found), threshold)
+    found_tied = tuple(
+        tied(Scored.beside(whitened, data, _columns(found, but=i)), f) for i, f in enumerate(found)
+    )
+    return Naming(found_tied, scored.total)
 
 
 def _named_pair(scored: Scored, data: Data, unnamed: Found) -> list[Found] | None:
@@ -184,19 +195,31 @@ def _re_examine(whitened: Whitened, data: Data, found: list[Found]) -> list[Foun
     return found
 
 
-def _tied(scored: Scored, one: Found) -> Found:
+def held(whitened: Whitened, data: Data, found: list[Found], threshold: Threshold) -> list[Found]:
+    """Leave out, the weakest first, what is no longer needed beside the others: without it nothing is missing."""
+    while len(found) > 1:
+        without = [Scored.beside(whitened, data, _columns(found, but=i)).total for i in range(len(found))]
+        weakest = int(np.argmin(without))
+        if without[weakest] >= threshold.value:
+            break
+        found = [f for i, f in enumerate(found) if i != weakest]
+    return found
+
+
+def tied(scored: Scored, one: Found) -> Found:
     """Find which other effects would explain what `one` explains; `scored` is beside all others that were found."""
     evidence = scored.evidence
     amplitude, gram = scored.amplitude(one.variant)
     explained = float(amplitude @ gram @ amplitude)
-    smallest = _explaining(scored, one.variant, amplitude, explained - LEAK**2)
+    enough = max(explained - LEAK**2, LEAST_EXPLAINED * explained)
+    smallest = _explaining(scored, one.variant, amplitude, enough)
     fewest = min(len(one.variant.columns), smallest.get(one.variant.family, len(one.variant.columns)))
     ties: list[str] = []
     plainer: list[str] = []
     for family in evidence:
         if family == one.variant.family:
             continue
-        near = evidence[one.variant.family] - evidence[family] < LESS_PLAUSIBLE
+        near = evidence[family] > max(evidence[one.variant.family] - LESS_PLAUSIBLE, 0.0)
         # what is free explains anything: it ties by its evidence alone
         rank = None if family in UNNAMED else smallest.get(family)
         larger = rank is not None and rank > fewest
@@ -207,6 +230,7 @@ def _tied(scored: Scored, one: Found) -> Found:
     return replace(
         one,
         evidence=evidence[one.variant.family],
+        total=scored.total,
         size=math.sqrt(max(explained, 0.0)),
         ties=tuple(sorted(ties, key=lambda f: -evidence[f])),
         plainer_than=tuple(plainer),

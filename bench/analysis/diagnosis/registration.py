@@ -6,15 +6,29 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
 
-from bench.analysis.diagnosis import candidates, evidence, naming, noise_grid, threshold, visibility, where
-from bench.analysis.diagnosis.holdout import folds_of
+from bench.analysis.diagnosis import (
+    candidates,
+    evidence,
+    gap,
+    naming,
+    noise_grid,
+    threshold,
+    visibility,
+    where,
+)
+from bench.analysis.diagnosis.form import describe, scatter, search
+from bench.analysis.diagnosis.holdout import folds_of, thirds_of
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.model import CATALOGUE
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Priors, threshold, limits of a tie, what is held out; `sha256` is of them, the catalogue and the weights."""
+    """What was settled; `sha256` is of all of it, the catalogue and the weights of the sizes.
+
+    Priors, threshold, limits of a tie, what is held out (`held_out_else` where that measures nothing), and by how
+    much the gap must shrink on it.
+    """
 
     sha256: str
     unnamed: tuple[str, ...]
@@ -26,11 +40,16 @@ class Registration:
     tie_leak: float
     tie_evidence: float
     tie_absurd: float
+    tie_least_explained: float
     pair_margin: float
     most_effects: int
     hidden_beyond: float
     significance_where: float
+    gap_least_fall: float
+    gap_least_closed: float
+    gap_by_chance: float
     held_out: tuple[str, ...]
+    held_out_else: tuple[str, ...]
 
 
 def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
@@ -46,11 +65,16 @@ def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
         tie_leak=naming.LEAK,
         tie_evidence=naming.LESS_PLAUSIBLE,
         tie_absurd=naming.ABSURD,
+        tie_least_explained=naming.LEAST_EXPLAINED,
         pair_margin=naming.PAIR_MARGIN,
         most_effects=naming.MOST_EFFECTS,
         hidden_beyond=visibility.BEYOND_BELIEF,
         significance_where=where.SIGNIFICANT,
+        gap_least_fall=gap.LEAST_FALL,
+        gap_least_closed=gap.LEAST_CLOSED,
+        gap_by_chance=gap.BY_CHANCE,
         held_out=tuple(label for label, _ in folds_of(linear)),
+        held_out_else=tuple(label for label, _ in thirds_of(linear)),
     )
     hashed = asdict(settled) | {
         "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
@@ -58,6 +82,7 @@ def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
     }
     if threshold.formulas():
         hashed["formulas"] = threshold.formulas()
+    hashed["form"] = [search.MOST_TERMS, describe.LEAST_CLOSED, scatter.SIGNIFICANT, scatter.LARGER]
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())

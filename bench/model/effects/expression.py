@@ -60,7 +60,7 @@ class Reading(Protocol, Generic[Term]):
         """Read the call of a function."""
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=2048)
 def parse(text: str) -> ast.expr:
     """Return the tree of an expression. Raises `ExpressionError` where anything else stands in it."""
     if len(text) > MOST_CHARACTERS:
@@ -119,6 +119,7 @@ def known_functions() -> tuple[str, ...]:
     return (*FUNCTIONS, LAGGED)
 
 
+@lru_cache(maxsize=2048)
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names of variables and parameters in the order in which they first stand."""
     tree = parse(text)
@@ -128,12 +129,14 @@ def names_in(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(node.id for node in found))
 
 
+@lru_cache(maxsize=2048)
 def calls_in(text: str) -> frozenset[str]:
     """Return the names of the functions that are called."""
     nodes = ast.walk(parse(text))
     return frozenset(n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name))
 
 
+@lru_cache(maxsize=2048)
 def lags_in(text: str) -> tuple[ast.expr, ...]:
     """Return the second arguments of all calls of `lagged`."""
     nodes = (n for n in ast.walk(parse(text)) if isinstance(n, ast.Call))

@@ -9,18 +9,22 @@ from markupsafe import Markup
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.full import FullDiagnosis
-from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
 from bench.analysis.diagnosis.show import SEED, Shown
 from bench.analysis.diagnosis.where import Place
 from bench.base.numbers import aligned, concise, fixed, quantity, rounded, scale_for, two_digits, typeset
 from bench.model import CATALOGUE, Effect
 from bench.report.diagnosis import plots, words
+from bench.report.diagnosis.form import form_in_words
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
 from bench.report.template import page
 
 DRAWN: Final = 4
 """Mountings of which the residuals are drawn in full view; those beyond are folded away."""
+
+MOST_DRAWN: Final = 12
+"""Mountings of which residuals are drawn at all: many runs have many."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 """Colour of the verdict; of the others it is that of a failure."""
@@ -43,6 +47,7 @@ def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance
         verdict=words.verdict_in_words(diagnosis),
         places=[_place(place) for place in diagnosis.where],
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
+        form=list(form_in_words(diagnosis.form)) if diagnosis.form is not None else [],
         held_out=_held_out(diagnosis.gap),
         gap_bars=_drawn(plots.gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
         coefficients=_coefficients(shown),
@@ -83,14 +88,14 @@ def _held_out(gap: Gap) -> list[Row]:
         Row(
             fold.label,
             (
-                ", ".join(fold.found) or "nothing",
+                ", ".join(fold.gains) or "nothing",
                 f"{fold.before.reduced:.2f}",
                 f"{fold.after.reduced:.2f}",
-                "yes" if fold.confirmable else "no: without it the rest could not have shown the effect",
+                "yes" if fold.counted else f"no: {fold.blind}",
             ),
         )
         for fold in gap.folds
-    ]
+    ] + [Row(label, ("", "", "", f"no: {UNDETERMINED}")) for label in gap.undetermined]
 
 
 def _coefficients(shown: Shown) -> list[Row]:
@@ -120,10 +125,9 @@ def _tests(shown: Shown) -> list[Row]:
 
 
 def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:
-    """Return the figures of the mountings: those in full view, and those folded away."""
-    figures = [
-        _drawn(plots.residuals_of_mount(shown, i)) for i in range(len(mounts_of(shown.before.calibration)))
-    ]
+    """Return the figures of the first mountings: those in full view, and those folded away."""
+    mounts = mounts_of(shown.before.calibration)[:MOST_DRAWN]
+    figures = [_drawn(plots.residuals_of_mount(shown, i)) for i in range(len(mounts))]
     return figures[:DRAWN], figures[DRAWN:]
 
 

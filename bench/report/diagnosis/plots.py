@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.analysis.calibration import Calibration
 from bench.analysis.diagnosis.alternatives import Rival
-from bench.analysis.diagnosis.holdout import Gap
+from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.show import SEED, ModulusPoint, Shown
 from bench.base.arrays import CHANNELS
 from bench.base.numbers import MINUS, Scale, scale_for
@@ -126,7 +126,7 @@ def gap_bars(gap: Gap) -> str:
             ("before", before, -0.19, VERMILION), ("after", after, 0.19, BLUE),
         ):  # fmt: skip
             for counted in (True, False):
-                chosen = [i for i, fold in enumerate(folds) if fold.confirmable is counted]
+                chosen = [i for i, fold in enumerate(folds) if fold.counted is counted]
                 if chosen:
                     axes.bar(
                         places[chosen] + shift, [heights[i] for i in chosen], width=0.36,

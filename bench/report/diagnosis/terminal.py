@@ -10,12 +10,15 @@ from rich.table import Table
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import Confirmation
+from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import quantity, typeset
 from bench.base.progress import quiet
 from bench.model import CATALOGUE
 from bench.report.diagnosis import words
+from bench.report.diagnosis.form import form_in_words
 
 LISTED_PLACES: Final = 6
 LISTED_SHIFT: Final = 0.5
@@ -30,13 +33,15 @@ def print_one(full: FullDiagnosis, out: Console) -> None:
     _places(diagnosis, out)
     for number, effect in enumerate(diagnosis.effects):
         _effect(effect, full.rivals_of(number), out)
+    if diagnosis.form is not None:
+        _form(full, diagnosis.form, out)
     if diagnosis.effects:
         _gap(diagnosis, shown, out)
     if shown.after is not None:
         _consequence(shown, out)
     _limits_of_sight(full, out)
     _files(full, out)
-    lead = words.LEAD[diagnosis.verdict].upper()
+    lead = words.lead(diagnosis).upper()
     out.print(f"{full.source}: {lead}: {typeset(words.verdict_in_words(diagnosis))}", style="bold")
 
 
@@ -113,6 +118,9 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
     out.print(f"  {effect.words}")
     for line in words.parameters_in_words(effect):
         out.print(f"  {line}")
+    if effect.aliases:
+        orders = words.orders_in_words(effect.aliases)
+        out.print(f"  at the angles measured what repeats {orders} times a turn would look the same")
     rho = f", {effect.rho:.1f} times the noise in all (rho)" if effect.rho is not None else ""
     out.print(typeset(f"  {words.p_in_words(effect.p_all_looks)} with all looks counted{rho}"))
     for other in effect.cannot_tell_from:
@@ -126,17 +134,27 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
         out.print(f"  {'; '.join(filter(None, parts))}")
 
 
+def _form(full: FullDiagnosis, form: FreeForm, out: Console) -> None:
+    out.print("Its form, as a dictionary of terms describes it:", style="bold")
+    for line in form_in_words(form):
+        out.print(f"  {typeset(line)}")
+    if full.model is not None:
+        out.print(f"  to give it a name: bench accept {full.model} --name NAME --sentence TEXT")
+
+
 def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
     gap, after = diagnosis.gap, shown.after
     if gap.opened:
+        told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
         out.print(
-            f"Gap on readings not used: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
-            f"(noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
+            f"{told[0].upper()}{told[1:]}, on readings not used: reduced chi-square {gap.before:.2f} before, "
+            f"{gap.after:.2f} after (noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
             f"{quantity(gap.before_rms, gap.unit)} before, {quantity(gap.after_rms, gap.unit)} after"
         )
-    blind = [fold.label for fold in gap.folds if not fold.confirmable]
-    if blind:
-        out.print(f"  not counted, as without it the rest could not have shown it: {', '.join(blind)}")
+    for line in words.left_out_in_words(gap):
+        out.print(f"  not counted: {line}")
+    if gap.reason:
+        out.print(f"  not confirmed: {gap.reason}")
     if after is not None and after.tested:
         with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
         out.print(typeset(f"Simulated bench beside the readings: {with_it} with it, {without} without"))
@@ -165,6 +183,14 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
         out.print(f"Measure next: {proposal.why} ({proposal.procedure})")
     if diagnosis.hidden:
         out.print(f"These readings could never show: {', '.join(diagnosis.hidden)}")
+    if diagnosis.unseen_per_turn:
+        out.print(
+            "Nor an error of the head's angle that repeats "
+            f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn: it is the same at all of them"
+        )
+    if diagnosis.absent:
+        reasons = "; ".join(f"{name} ({why})" for name, why in diagnosis.absent.items())
+        out.print(f"Not looked for, as the bench has nothing that could: {reasons}")
     if diagnosis.verdict == "agrees":
         sizes = [f"{name} {size}" for name, size in words.smallest_found(diagnosis)]
         out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")
@@ -176,4 +202,26 @@ def _files(full: FullDiagnosis, out: Console) -> None:
         if file is not None:
             out.print(f"{what}: {file}")
     if full.diagnosis.of_copy == "confounded" and full.model is None:
-        out.print("no model file is written while the data cannot tell; --accept-first takes the first")
+        out.print(f"no model file is written {words.why_no_model(full.diagnosis)}")
+
+
+def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
+    """Print what became of the effects of a model in new readings, and the one number."""
+    for note in notes:
+        if not quiet.get():
+            out.print(f"note: {note}")
+    for effect in found.effects:
+        for line in words.effect_now_in_words(effect):
+            out.print(line)
+    out.print(
+        f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
+        f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
+    )
+    # where the values are others, what is found beside them makes up for that
+    left = words.alike_in_words(found.diagnosis.effects)
+    if left and found.verdict == "confirmed":
+        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
+    closed = words.closed_in_words(
+        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
+    )
+    out.print(f"{source}: {found.verdict.upper()}: {closed}", style="bold")

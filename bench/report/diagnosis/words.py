@@ -8,16 +8,22 @@ from typing import Final
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import EffectNow
+from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis
+from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.analysis.diagnosis.show import CoefficientChange, Shown, label
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake
-from bench.base.numbers import fixed, quantity, rounded, two_digits
+from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset
 from bench.model import CATALOGUE
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
 """Units as files write them, and as a page does."""
+
+WHOLE_UG: Final = 9.95
+"""From so many micro-g on a size is told without decimals."""
 
 MUCH_LESS_CERTAIN: Final = 2.0
 """A u that grows by no more than this is not worth a line."""
@@ -123,6 +129,15 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return sizes
 
 
+def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
+    """Return how often a turn, the fewest first: "6, 10, 14, …"."""
+    shown = ", ".join(str(order) for order in orders[:listed])
+    return f"{shown}, …" if len(orders) > listed else shown
+
+
+UNCONFIRMED: Final = "Found, but not confirmed"
+"""The verdict where nothing else explains it, and readings held out do not confirm it."""
+
 LEAD: Final[Mapping[str, str]] = {
     "agrees": "Nothing found",
     "mistake": "A mistake in procedure or wiring",
@@ -133,13 +148,53 @@ LEAD: Final[Mapping[str, str]] = {
 """The verdict in a word or two."""
 
 
+def lead(diagnosis: Diagnosis) -> str:
+    """Return the verdict in a word or two."""
+    tied = any(effect.cannot_tell_from for effect in diagnosis.effects)
+    return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
+
+
+def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g: float) -> str:
+    """Return the one number of a gap, never more than all of it.
+
+    "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"; all sizes are root mean squares.
+    """
+    sizes = f"from {micro_g(before_g)} to {micro_g(after_g)} (noise alone: {micro_g(noise_g)})"
+    if part is None:
+        return f"gap {sizes}, no larger than chance before"
+    if part <= 0.0:
+        return f"gap not closed, {sizes}"
+    return f"gap closed {min(100.0 * part, 100.0):.0f} %, {sizes}"
+
+
+def micro_g(value_g: float) -> str:
+    """Return a size in micro-g: "412 µg", "9.0 µg"."""
+    size = 1e6 * value_g
+    return f"{size:.0f} µg" if abs(size) >= WHOLE_UG else f"{two_digits(size)} µg"
+
+
+def gap_in_words(gap: Gap) -> str:
+    """Return how far naming closes the gap on readings that were not used; nothing where none could say it."""
+    if not (gap.named and gap.opened):
+        return ""
+    told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
+    return f"{told}, on readings not used"
+
+
+def left_out_in_words(gap: Gap) -> Iterator[str]:
+    """Yield what was held out and does not count, with its number and why."""
+    for fold in gap.left_out:
+        yield f"{fold.label}: {fold.before.reduced:.2f} before, {fold.after.reduced:.2f} after; {fold.blind}"
+    for readings in gap.undetermined:
+        yield f"{readings}: not predicted; {UNDETERMINED}"
+
+
 def verdict_in_words(diagnosis: Diagnosis) -> str:
     """Return what the verdict rests on, in one sentence without its end."""
     effects, gap = diagnosis.effects, diagnosis.gap
-    closed = ""
-    if gap.opened:
-        sizes = f"from {gap.before:.2f} to {gap.after:.2f} (noise alone: 1)"
-        closed = f"; the gap on readings not used goes {sizes}"
+    closed = "".join(f"; {told}" for told in [gap_in_words(gap)] if told)
+    if diagnosis.of_copy == "confounded" and gap.reason:
+        closed = f"; {gap.reason}"
     match diagnosis.verdict:
         case "agrees":
             return "readings and model agree within the noise"
@@ -179,6 +234,15 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     return ""
 
 
+def why_no_model(diagnosis: Diagnosis) -> str:
+    """Return why there is no model file of what was found, and what to do all the same, after "no model …"."""
+    if diagnosis.gap.shrinks is False:
+        return "of what makes readings that were held out no smaller a gap: it would not be a better model"
+    if any(effect.cannot_tell_from for effect in diagnosis.effects):
+        return "while the data cannot tell; --accept-first takes the first"
+    return "while no readings held out confirm it; --accept-first takes it all the same"
+
+
 def joined_in_words(shown: Shown) -> Iterator[str]:
     """Yield what the verification points say where they alone show what was found; nothing where not."""
     if shown.after is None or not shown.after.joined:
@@ -213,12 +277,16 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
             text += f"; the data cannot tell it from {', '.join(effect.cannot_tell_from)}"
         if effect.plainer_than:
             text += f"; plainer than {', '.join(effect.plainer_than)}"
-        evidence[label(effect.applied[0])] = text
-    evidence["gap"] = "no readings could be held out that would confirm it"
+        if effect.applied:
+            evidence[label(effect.applied[0])] = text
+    if diagnosis.form is not None:
+        evidence |= _evidence_for_form(diagnosis.form)
+    evidence["gap"] = gap.reason
     if gap.opened:
         evidence["gap"] = (
             f"reduced chi-square of readings held out {gap.before:.3f} before, {gap.after:.3f} after, "
-            f"1 expected; p after {gap.p_after:.2g}"
+            f"1 expected; p after {gap.p_after:.2g}; root mean square {micro_g(gap.before_rms_g)} before, "
+            f"{micro_g(gap.after_rms_g)} after"
         )
     if full.shown.after is not None:
         evidence["simulation"] = f"p of the readings beside the model {full.shown.after.test.p:.2g}"
@@ -227,8 +295,37 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
     return evidence
 
 
+def _evidence_for_form(form: FreeForm) -> dict[str, str]:
+    """Return what speaks for the terms of what has no name."""
+    closed = (
+        "not measured"
+        if form.closed is None
+        else f"{100 * form.closed:.0f} % of the gap on readings held out"
+    )
+    return {
+        **{term.effect.name: f"{term.family}; rho {term.rho:.1f}" for term in form.terms},
+        "closed by the unnamed terms": f"{closed}, {form.before:.3f} before, {form.after:.3f} after",
+    }
+
+
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     """Return the coefficients whose u grows with what was found, and how many times: "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
+
+
+def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
+    """Yield what became of an effect in new readings: its verdict, and its values then and now."""
+    name = label(effect.applied)
+    if effect.verdict is None:
+        yield f"{name}: these readings do not show it"
+        return
+    chances = f"{p_in_words(effect.p_same)} of the same values, {p_in_words(effect.p_none)} of none"
+    yield f"{name}: {effect.verdict} ({typeset(chances)})"
+    for was, now in zip(effect.found, effect.now, strict=True):
+        of = f" of {was.channel}" if was.channel else ""
+        u = "" if not was.u else f" ± {two_digits(was.u)}"
+        then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
+        here = _with_u(now.value, now.u or 0.0, now.unit)
+        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"

@@ -7,6 +7,7 @@ import pytest
 
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.evidence import Search
+from bench.analysis.diagnosis.naming import LEAK, Scored, held, tied
 from bench.analysis.diagnosis.threshold import (
     FALSE_ALARMS,
     fit_tail,
@@ -72,6 +73,27 @@ def test_equal_quadratic_terms_are_never_named_alone():
     assert found.verdict == "confounded"
     names = {found.effects[0].name, *found.effects[0].cannot_tell_from}
     assert {"quadratic_nonlinearity", "voltmeter_nonlinearity"} <= names
+
+
+def test_a_find_that_is_not_needed_beside_the_others_goes():
+    """Beside the square of y that is there, a drift of z that is not there falls below any threshold."""
+    one = set_up(paper_run(np.random.default_rng(21), K2=(0.0, 80e-6, 0.0)))
+    data = one.whitened.reduce(one.linear.response[:, None])
+    limit = Threshold(2.0, FALSE_ALARMS, 1.0, 0.05, 1.0, NULLS)
+    scored = Scored.beside(one.whitened, data, ())
+    square, drift = scored.found("quadratic_nonlinearity"), scored.found("bias_drift")
+    assert held(one.whitened, data, [drift, square], limit) == [square]
+    assert held(one.whitened, data, [square], limit) == [square]
+
+
+def test_what_is_hardly_there_does_not_tie_with_everything():
+    """In a null the best scale drift explains next to nothing; what it is alike is little more than its kin."""
+    one = set_up(paper_run(np.random.default_rng(22)))
+    data = one.whitened.reduce(one.linear.response[:, None])
+    scored = Scored.beside(one.whitened, data, ())
+    small = tied(scored, scored.found("scale_drift"))
+    assert small.size < LEAK
+    assert len(small.ties) + len(small.plainer_than) < len(scored.evidence) / 2
 
 
 @pytest.mark.slow

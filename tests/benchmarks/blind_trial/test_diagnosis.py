@@ -34,8 +34,9 @@ def test_an_effect_of_20_is_found_and_the_truth_is_in_the_set():
         answer, diagnosis, marks = judged(Row("single", rho=20), index)
         assert marks["detected"]
         assert any(answer.names[0] in names for names in sets_given(diagnosis)), answer.names
-        # what is constant in a mounting is in the other passes, too: held out, it leaves the gap as it was
-        assert diagnosis["gap"]["after"] < diagnosis["gap"]["before"] + 0.01
+        gap = diagnosis["gap"]
+        # what is constant in a mounting is in the other passes, too: nothing held out shows it
+        assert answer.names == ("mounting_error",) if gap["before"] is None else gap["after"] < gap["before"]
 
 
 @pytest.mark.slow

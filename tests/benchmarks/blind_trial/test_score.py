@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.blind_trial.cases import Row, make_case
-from benchmarks.blind_trial.score import Share, judge
+from benchmarks.blind_trial.score import NOT_SHRUNK, Share, judge
 from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
 from tests.support.blind_cases import SEED, mistaken, said, single
 
@@ -42,6 +42,7 @@ def test_single_effects_are_judged_by_name_and_by_set():
         "first name right": True,
         "alone given": True,
         "alone right": True,
+        NOT_SHRUNK: False,
     }
     tied = judge(case, answer, said("confounded", ("scale_drift", ["thermal_scale"])))
     assert (tied["in the set"], tied["first name right"], tied["alone given"]) == (True, False, False)
@@ -52,6 +53,20 @@ def test_single_effects_are_judged_by_name_and_by_set():
     unknown = judge(case, answer, said("unknown"))
     assert unknown["detected"]
     assert "in the set" not in unknown
+
+
+@pytest.mark.parametrize(
+    "gap",
+    [
+        {"before": 0.97, "after": 1.02, "before_rms": 4e-5, "after_rms": 3e-5},
+        {"before": 3.95, "after": 1.2, "before_rms": 42e-6, "after_rms": 80e-6},
+        dict.fromkeys(("before", "after", "before_rms", "after_rms")),
+    ],
+)
+def test_a_name_without_a_smaller_gap_is_counted(gap):
+    case, answer = single("thermal_scale")
+    assert judge(case, answer, said("named", ("thermal_scale", [])) | {"gap": gap})[NOT_SHRUNK]
+    assert NOT_SHRUNK not in judge(case, answer, said("confounded", ("thermal_scale", [])) | {"gap": gap})
 
 
 def test_other_kinds_are_judged():

@@ -1,0 +1,239 @@
+"""The form of what has no name: terms with sizes, what else they could be, how they predict, what stays dark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.form.dictionary import Dictionary, make_dictionary
+from bench.analysis.diagnosis.form.scatter import Scatter, larger_scatter
+from bench.analysis.diagnosis.form.search import FormFold, Setting, alike, held_out, search, whitened_columns
+from bench.analysis.diagnosis.linear import LinearSystem
+from bench.analysis.diagnosis.naming import Found
+from bench.analysis.diagnosis.posterior import NoiseSize, Posterior, noise_size, posterior, whiten_rows
+from bench.base.arrays import CHANNELS, Floats
+from bench.model import AppliedEffect
+from bench.model.effects import FormulaEffect
+
+UNNAMED: Final = "unnamed_"
+"""How the name of an effect begins that has none yet."""
+LEAST_CLOSED: Final = 0.5
+"""A form goes into a model file where it closes so much of the gap on readings held out; settled beforehand."""
+
+
+@dataclass(frozen=True)
+class FormTerm:
+    """A term with its sizes and their u; `could_also_be` are families that describe it as well.
+
+    `p` is for this term alone, `rho` its size in units of noise.
+    """
+
+    applied: AppliedEffect
+    family: str
+    could_also_be: tuple[str, ...]
+    rho: float
+    p: float
+
+    @property
+    def effect(self) -> FormulaEffect:
+        """The term as an effect."""
+        assert isinstance(self.applied.effect, FormulaEffect)  # noqa: S101 - made so
+        return self.applied.effect
+
+    def sizes(self) -> list[tuple[str, str, float, float, str]]:
+        """Return parameter, channel ("" for all), value, u and unit of each size, in that unit."""
+        told = []
+        for p in self.effect.parameters:
+            if p.is_shape:
+                continue
+            value, u = self.applied.values[p.name], self.applied.u[p.name]
+            for channel in self.applied.channels if p.per_channel else ("",):
+                at = CHANNELS.index(channel) if channel else ()
+                told.append(
+                    (p.name, channel, float(value[at] / p.si_per_unit), float(u[at] / p.si_per_unit), p.unit)
+                )
+        return told
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result says of it."""
+        effect = self.effect
+        return {
+            "name": effect.name,
+            "stage": effect.stage.value,
+            "adds_to": effect.adds_to or None,
+            "expression": effect.expression,
+            "constants": {
+                p.name: {"value": p.default / p.si_per_unit, "unit": p.unit}
+                for p in effect.parameters
+                if p.is_shape
+            },
+            "channels": list(self.applied.channels),
+            "sizes": [
+                {"parameter": name, "channel": channel or None, "value": value, "u": u, "unit": unit}
+                for name, channel, value, u, unit in self.sizes()
+            ],
+            "family": self.family,
+            "could_also_be": list(self.could_also_be),
+            "rho": self.rho,
+            "p": self.p,
+        }
+
+
+@dataclass(frozen=True)
+class FreeForm:
+    """What describes that which has no name.
+
+    `folds` hold readings out and search without them; `dark` is what the readings scatter beyond their repeats
+    with the terms, unit of the signal: it has no form, and is an uncertainty. `scatter` says where it is larger.
+    """
+
+    terms: tuple[FormTerm, ...]
+    folds: tuple[FormFold, ...]
+    dark: float
+    scatter: Scatter | None
+    unit: str
+
+    @property
+    def before(self) -> float:
+        """Reduced chi-square of all readings held out, without the terms."""
+        return self._reduced([fold.before[1] for fold in self.folds])
+
+    @property
+    def after(self) -> float:
+        """The same with the terms that were found without them."""
+        return self._reduced([fold.after[1] for fold in self.folds])
+
+    @property
+    def closed(self) -> float | None:
+        """Part of the gap that the terms close on readings held out; None where there is no gap to close."""
+        return (self.before - self.after) / (self.before - 1.0) if self.before > 1.0 else None
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the terms predict readings that they have not seen well enough for a model file."""
+        return bool(self.terms) and self.closed is not None and self.closed >= LEAST_CLOSED
+
+    @property
+    def applied(self) -> tuple[AppliedEffect, ...]:
+        """The terms with their values, to be added to the model: none where they do not predict."""
+        return tuple(term.applied for term in self.terms) if self.predicts else ()
+
+    def _reduced(self, chi2: Sequence[float]) -> float:
+        return sum(chi2) / max(sum(fold.count for fold in self.folds), 1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result says of it."""
+        told = self.scatter
+        rms = [_rms([getattr(fold, when)[0] for fold in self.folds]) for when in ("before", "after")]
+        return {
+            "terms": [term.to_dict() for term in self.terms],
+            "gap": {
+                "before": self.before if self.folds else None,
+                "after": self.after if self.folds else None,
+                "floor": 1.0,
+                "closed": self.closed,
+                "before_rms": rms[0],
+                "after_rms": rms[1],
+                "unit": self.unit,
+                "held_out": [
+                    {"what": f.label, "before": f.before[1] / f.count, "after": f.after[1] / f.count}
+                    for f in self.folds
+                ],
+            },
+            "dark_uncertainty": self.dark,
+            "scatter": None
+            if told is None
+            else {
+                "channel": told.channel,
+                "where": told.where,
+                "sd": told.sd,
+                "elsewhere": told.elsewhere,
+                "p": told.p,
+            },
+            "unit": self.unit,
+        }
+
+
+def _rms(errors: Sequence[Floats]) -> float | None:
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else None
+
+
+def describe(linear: LinearSystem, given: Floats, repeats_sigma: float, setting: Setting) -> FreeForm:
+    """Describe what has no name beside what has one: the columns `given` (N, m), one prior size each."""
+    dictionary = make_dictionary(linear, given)
+    count = given.shape[1]
+    whitened = whitened_columns(linear, dictionary.candidates, setting)
+    data = whitened.reduce(linear.response[:, None])
+    found = search(whitened, data, count, setting.limit)
+    columns = [*range(count), *(c for f in found for c in f.variant.columns)]
+    noise = noise_size(whitened, data, tuple(columns))
+    fitted = posterior(linear, dictionary.candidates.columns[:, columns], noise)
+    others = [alike(whitened, data, count, found, i) for i in range(len(found))]
+    thirds = any(dictionary.of(f.variant).once for f in found)
+    form = FreeForm(
+        terms=_terms(linear, dictionary, found, others, fitted, count),
+        folds=tuple(held_out(linear, dictionary.candidates, count, noise, setting, thirds=thirds))
+        if found
+        else (),
+        dark=0.0,
+        scatter=None,
+        unit=linear.readings.unit,
+    )
+    # terms that predict nothing follow the noise that is to be described
+    believed = tuple(columns if form.predicts else columns[:count])
+    noise = noise_size(whitened, data, believed)
+    return replace(
+        form,
+        dark=float(np.sqrt(max(noise.reading**2 - repeats_sigma**2, 0.0))),
+        scatter=larger_scatter(linear, _left(linear, dictionary.candidates.columns[:, believed], noise)),
+    )
+
+
+def _left(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
+    """Return what is left of the readings, the setting error taken out, unit of the signal, shape (N,)."""
+    fitted = posterior(linear, effects, noise)
+    left = linear.response - np.concatenate([linear.fixed, linear.random, effects], axis=1) @ fitted.mean
+    return noise.reading * whiten_rows(linear, noise, left[:, None], np.ones(len(linear), dtype=bool))[:, 0]
+
+
+def _terms(
+    linear: LinearSystem,
+    dictionary: Dictionary,
+    found: Sequence[Found],
+    others: Sequence[tuple[str, ...]],
+    fitted: Posterior,
+    given: int,
+) -> tuple[FormTerm, ...]:
+    taken = {applied.effect.name for applied in linear.model.effects}
+    names = (name for name in (f"{UNNAMED}{k}" for k in range(1, 1000)) if name not in taken)
+    u = np.sqrt(np.diag(fitted.amplitude_covariance))
+    terms = []
+    start = given
+    for one, also, name in zip(found, others, names, strict=False):
+        stop = start + len(one.variant.columns)
+        applied = _applied(dictionary, one, name, fitted.amplitudes[start:stop], u[start:stop])
+        p = float(special.chdtrc(stop - start, one.size**2))
+        terms.append(FormTerm(applied, one.variant.family, also, one.size, p))
+        start = stop
+    return tuple(terms)
+
+
+def _applied(dictionary: Dictionary, one: Found, name: str, value: Floats, u: Floats) -> AppliedEffect:
+    candidates: Candidates = dictionary.candidates
+    kinds = [candidates.kinds[column] for column in one.variant.columns]
+    per_channel = kinds[0].channel is not None
+    effect = dictionary.of(one.variant).effect(name, per_channel=per_channel)
+    values: dict[str, Floats] = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
+    sizes: dict[str, Floats] = {}
+    for place, (column, kind) in enumerate(zip(one.variant.columns, kinds, strict=True)):
+        at = () if kind.channel is None else kind.channel
+        for numbers, number in ((values, value[place]), (sizes, u[place])):
+            numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
+            numbers[kind.parameter][at] = number * candidates.scale[column]
+    channels = tuple(CHANNELS[c] for c in one.variant.channels)
+    return AppliedEffect(effect, values, channels, sizes)

@@ -1,0 +1,51 @@
+"""The form of what has no name, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bench.analysis.diagnosis.form.describe import FormTerm, FreeForm
+from bench.base.numbers import quantity, rounded, two_digits
+from bench.report.diagnosis.words import with_unit
+
+
+def term_in_words(term: FormTerm) -> str:
+    """Return a term as a line: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
+    effect = term.effect
+    added = f" to {effect.adds_to}" if effect.adds_to else ""
+    sizes = [
+        f"{name}{f' of {channel}' if channel else ''} = "
+        f"{with_unit(f'{rounded(value, u)} ± {two_digits(u)}', unit)} (u)"
+        for name, channel, value, u, unit in term.sizes()
+    ]
+    constants = [
+        f"{p.name} = {with_unit(format(p.default / p.si_per_unit, 'g'), p.unit)}"
+        for p in effect.parameters
+        if p.is_shape
+    ]
+    where = f"added{added} at the {effect.stage.value}"
+    return f"{effect.name}: {effect.expression}, {where}; {', '.join([*sizes, *constants])}"
+
+
+def form_in_words(form: FreeForm) -> Iterator[str]:
+    """Yield the lines that describe what has no name."""
+    if not form.terms:
+        yield "no term of the dictionary describes it"
+    for term in form.terms:
+        yield term_in_words(term)
+        also = f"; could also be: {'; '.join(term.could_also_be)}" if term.could_also_be else ""
+        yield f"that is {term.family}, {term.rho:.1f} times the noise in all (rho){also}"
+    if form.terms and form.folds:
+        closed = "" if form.closed is None else f", which closes {100 * form.closed:.0f} % of the gap"
+        yield (
+            f"on readings not used: reduced chi-square {form.before:.2f} before, {form.after:.2f} with the terms "
+            f"found without them{closed}"
+        )
+    if form.terms and not form.predicts:
+        yield "that is too little for a model file: the terms describe these readings and predict no others"
+    if form.scatter is not None:
+        one = form.scatter
+        sizes = f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
+        yield f"scatter without a form: {one.words}, {sizes}"
+    if form.dark > 0.0:
+        yield f"what stays unexplained: {quantity(form.dark, form.unit)} in each reading (dark uncertainty)"

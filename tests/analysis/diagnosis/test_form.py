@@ -1,0 +1,127 @@
+"""What has no name gets a form: terms of the dictionary, sizes, prediction, where it scatters, what stays dark.
+
+The readings come from a geometry of the tests' own, and so do the forms that are hidden in them.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.analysis.diagnosis import Threshold
+from bench.analysis.diagnosis.form.describe import describe
+from bench.analysis.diagnosis.form.dictionary import make_dictionary
+from bench.analysis.diagnosis.form.search import Setting
+from bench.analysis.diagnosis.linear import make_linear
+from bench.analysis.diagnosis.noise_grid import RATIOS
+from bench.files.formulas import effects_as_written, written_formulas
+from bench.model import AppliedEffect, Stage
+from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run
+from tests.support.paper_bench import SETTING_U_RAD, STAND_U, K
+
+LIMIT = Threshold(1.5, 0.006, 0.0, 0.05, 1.0, 2000)
+"""About what 2,000 simulated runs of this procedure give."""
+
+
+def with_added(readings, volts):
+    """Readings with so much added to their signals, V (n, 3)."""
+    return replace(readings, signal=readings.signal + volts)
+
+
+def form_of(readings):
+    linear = make_linear(readings, MODEL, STAND_U)
+    about = Setting(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
+    return describe(linear, np.zeros((len(linear), 0)), NOISE_V, about)
+
+
+def in_channel(course, channel, scale=True):
+    return course[:, None] * np.eye(3)[channel] * (K[channel, channel] if scale else 1.0)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return paper_run(np.random.default_rng(31))
+
+
+@pytest.fixture(scope="module")
+def terms(run):
+    linear = make_linear(run, MODEL, STAND_U)
+    dictionary = make_dictionary(linear, np.zeros((len(linear), 0)))
+    return dictionary, linear
+
+
+def test_every_term_is_a_formula_that_a_file_may_hold(terms):
+    dictionary, _ = terms
+    some = {(t.stage, t.adds_to, t.expressions, t.constants): t for t in dictionary.term_of.values()}
+    assert len(some) > 400
+    for number, term in enumerate(some.values()):
+        for per_channel in {False, term.stage is Stage.BLOCK_OUTPUT}:
+            effect = term.effect(f"unnamed_{number}", per_channel=per_channel)
+            (read,) = effects_as_written(written_formulas([effect])) or (None,)
+            assert read == effect, effect.expression
+
+
+def test_its_columns_are_differences_of_the_forward_model(terms):
+    dictionary, linear = terms
+    rng = np.random.default_rng(1)
+    for number in rng.choice(len(dictionary.candidates.variants), 20, replace=False):
+        variant = dictionary.candidates.variants[number]
+        kinds = [dictionary.candidates.kinds[c] for c in variant.columns]
+        effect = dictionary.of(variant).effect("one", per_channel=kinds[0].channel is not None)
+        values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
+        for column, kind in zip(variant.columns, kinds, strict=True):
+            size = dictionary.candidates.scale[column]
+            one = np.asarray(size) if kind.channel is None else size * np.eye(3)[kind.channel]
+            added = linear.effect_column(AppliedEffect(effect, {**values, kind.parameter: one}))
+            np.testing.assert_allclose(dictionary.candidates.columns[:, column], added, atol=1e-18)
+
+
+@pytest.mark.slow
+def test_nothing_gets_no_form(run):
+    form = form_of(run)
+    assert form.terms == ()
+    assert form.applied == ()
+    assert form.scatter is None
+    assert form.dark < NOISE_V
+
+
+@pytest.mark.slow
+def test_half_a_wave_is_described_and_predicts(run):
+    form = form_of(with_added(run, in_channel(200e-6 * np.sin(run.angle_rad / 2), 1)))
+    (term,) = form.terms
+    assert term.family == "a wave, 0.5 per turn, in the bias"
+    assert term.effect.stage is Stage.BLOCK_OUTPUT
+    (_, channel, cosine, u_cosine, unit), (_, _, sine, u_sine, _) = term.sizes()
+    assert (channel, unit) == ("y", "ug")
+    assert abs(sine - 200) < 4 * u_sine < 60
+    assert abs(cosine) < 4 * u_cosine
+    assert form.closed > 0.8
+    assert form.predicts
+    assert form.applied[0].effect.name == "unnamed_1"
+    assert form.after < 1.5 < form.before
+    told = form.to_dict()
+    assert told["terms"][0]["sizes"][1]["u"] == pytest.approx(u_sine)
+    assert len(told["gap"]["held_out"]) == 4
+
+
+@pytest.mark.slow
+def test_a_burst_of_noise_is_a_variance_and_where(run):
+    rows = (run.installation == "2") & (run.pass_number == 3)
+    burst = np.where(rows, np.random.default_rng(8).normal(0, 400e-6, len(rows)), 0.0)
+    form = form_of(with_added(run, in_channel(burst, 0, scale=False)))
+    assert form.scatter is not None
+    assert form.scatter.words in {"channel x, installation 2, pass 3", "channel x, installation 2"}
+    assert 150e-6 < form.scatter.sd < 800e-6
+    assert form.scatter.elsewhere < 100e-6
+    assert form.dark > NOISE_V
+
+
+@pytest.mark.slow
+def test_terms_in_the_model_keep_their_names(run):
+    readings = with_added(run, in_channel(200e-6 * np.sin(run.angle_rad / 2), 1))
+    (term,) = form_of(readings).terms
+    linear = make_linear(readings, replace(MODEL, effects=(term.applied,)), STAND_U)
+    again = describe(
+        linear, np.zeros((len(linear), 0)), NOISE_V, Setting(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
+    )
+    assert all(one.effect.name != "unnamed_1" for one in again.terms)
