@@ -29,9 +29,8 @@ def by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor:
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
     products = (left[:, :, None] * left[:, None, :]).reshape(-1, 9)
-    scatter = np.stack([np.bincount(cells, column, count) for column in products.T], axis=1)
-    mean = np.stack([np.bincount(cells, column, count) for column in slope.T], axis=1)
-    mean /= np.bincount(cells, minlength=count)[:, None]
+    scatter = _by_cell(products, cells, count)
+    mean = _by_cell(slope, cells, count) / np.bincount(cells, minlength=count)[:, None]
     used = free > 1e-6
     scatter, free = scatter[used].reshape(1, -1, 3, 3), free[used]
     found = believed_sizes(scatter, free, mean[used][None], floor)
@@ -39,6 +38,11 @@ def by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor:
         return np.ones(3)
     sizes = np.sqrt(found.variances[0, :3])
     return np.asarray(sizes / rms(sizes))
+
+
+def _by_cell(columns: Floats, cells: Ints, count: int) -> Floats:
+    sums = [np.bincount(cells, column, count) for column in columns.T]
+    return np.asarray(np.stack(sums, axis=1), dtype=np.float64)
 
 
 def sizes_left(

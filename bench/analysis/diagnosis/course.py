@@ -121,7 +121,8 @@ def diagnose(
         noise_kinds=described,
         notes=(
             *readings.notes,
-            *(f.words for f in (*findings, *described)),
+            *(finding.words for finding in findings),
+            *(kind.words for kind in described),
             *assumed(linear),
             *common_volts(naming, fitted, linear),
         ),

@@ -66,7 +66,7 @@ class LinearSystem:
     view: _View
     problem: Problem
     orientation: Orientation | None
-    by_channel: Floats = field(default_factory=lambda: np.ones(3))
+    by_channel: Floats = field(default_factory=lambda: np.ones(3), kw_only=True)
 
     def __len__(self) -> int:
         return len(self.response)
@@ -89,6 +89,8 @@ class LinearSystem:
     @cached_property
     def relative(self) -> Floats:
         """How large the noise of a row is, 1 for a channel of average noise, shape (N,)."""
+        if np.all(self.by_channel == 1.0):
+            return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
         modulus = self.rows.channel == MODULUS
         if modulus.any():
