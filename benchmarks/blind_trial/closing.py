@@ -28,7 +28,7 @@ def true_closing(case: Case, answer: Answer) -> float | None:
     run = make_run(row.design)
 
     def white(volts: Floats) -> Floats:
-        return np.einsum("nij,nj->ni", whitener, volts[rows]).ravel()
+        return np.asarray(np.einsum("nij,nj->ni", whitener, volts[rows]).ravel())
 
     left, form = white(case.readings.signal - signals(run)), white(answer.effects[0].change)
     passes = np.repeat(run.pass_number[rows], 3)
