@@ -21,9 +21,19 @@ if TYPE_CHECKING:
     from bench.analysis.calibration import CalibrationError
     from bench.api.budget import BudgetResult, budget
     from bench.api.calibration import CalibrationResult, Coefficient
+    from bench.api.confirmation import ConfirmationResult
     from bench.api.diagnosis import DiagnosisResult
     from bench.api.errors import Refused
-    from bench.api.face import DryRun, calibrate, diagnose, dry_run, load_bench, read_readings, verify
+    from bench.api.face import (
+        DryRun,
+        calibrate,
+        confirm,
+        diagnose,
+        dry_run,
+        load_bench,
+        read_readings,
+        verify,
+    )
     from bench.api.verification import VerificationResult
     from bench.base.forms import FileMistakes
     from bench.files.bench.file import BenchFile
@@ -37,6 +47,7 @@ __all__ = [
     "CalibrationError",
     "CalibrationResult",
     "Coefficient",
+    "ConfirmationResult",
     "DiagnosisResult",
     "DryRun",
     "FileMistakes",
@@ -47,6 +58,7 @@ __all__ = [
     "VerificationResult",
     "budget",
     "calibrate",
+    "confirm",
     "diagnose",
     "dry_run",
     "load_bench",
@@ -58,10 +70,11 @@ _HOMES: Final = {
     "bench.analysis.calibration": ("CalibrationError",),
     "bench.api.budget": ("BudgetResult", "budget"),
     "bench.api.calibration": ("CalibrationResult", "Coefficient"),
+    "bench.api.confirmation": ("ConfirmationResult",),
     "bench.api.diagnosis": ("DiagnosisResult",),
     "bench.api.errors": ("Refused",),
     "bench.api.face": (
-        "DryRun", "calibrate", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
+        "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
     ),
     "bench.api.verification": ("VerificationResult",),
     "bench.base.forms": ("FileMistakes",),

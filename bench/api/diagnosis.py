@@ -18,6 +18,7 @@ from bench.api.origin import SUFFIX
 from bench.api.own_effects import knowing_effects_of
 from bench.api.provenance import provenance
 from bench.api.source import Source, data_sha256
+from bench.base.arrays import Floats
 from bench.base.cache import cache_folder
 from bench.base.tables import as_text
 from bench.base.visible import visible
@@ -29,11 +30,15 @@ from bench.readings.joined import JoinedPart, together
 
 @dataclass(frozen=True)
 class Body:
-    """A body of readings with the hashes of what it is made of, and the name of what is written for it."""
+    """A body of readings with the hashes of what it is made of, and the name of what is written for it.
+
+    `nominal` (blocks, 3) are the scale factors of the data sheets where blocks of several kinds are in it.
+    """
 
     source: Source
     sha256: tuple[str, ...]
     command: str = "diagnose"
+    nominal: Floats | None = None
 
     def output(self, suffix: str) -> Path:
         """Return the file that is written for it."""
@@ -108,8 +113,12 @@ class DiagnosisResult:
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
 
-def body_of(sources: list[Source]) -> Body:
-    """Return the sources as one body of data. Raises `Refused` where they are not of one bench."""
+def body_of(sources: list[Source], *, one_block: bool | None = None) -> Body:
+    """Return the sources as one body of data: of `one_block`, or of a block each.
+
+    Where nobody says (None), the names of the blocks tell, and where those do not, the readings will. Raises
+    `Refused` where they are not of one bench.
+    """
     hashes = tuple(data_sha256(source.as_read) for source in sources)
     first = sources[0]
     if len(sources) == 1:
@@ -117,7 +126,10 @@ def body_of(sources: list[Source]) -> Body:
     for source in sources[1:]:
         _require_same_bench(first, source)
     try:
-        readings = together([JoinedPart(source.readings, _began_s(source)) for source in sources])
+        blocks = _blocks(sources, one_block)
+        readings = together(
+            [JoinedPart(s.readings, _began_s(s), block) for s, block in zip(sources, blocks, strict=True)]
+        )
     except ValueError as problem:
         raise Refused(f"--together: {problem}") from problem
     # a model that was found in any of the sources has seen a part of the whole
@@ -127,7 +139,22 @@ def body_of(sources: list[Source]) -> Body:
     own = tuple(dict.fromkeys(effect for source in sources for effect in source.effects))
     traced = replace(first.traced, entries=entries)
     whole = replace(first, readings=readings, model=model, name=name, traced=traced, effects=own)
-    return Body(whole, hashes, "diagnose-together")
+    nominal = None
+    if blocks[0] is not None:
+        kinds = {n: s for n, s in zip(blocks, sources, strict=True) if n is not None}
+        nominal = np.array([kinds[n].bench.unit_under_test.scale_factors.values for n in sorted(kinds)])
+    return Body(whole, hashes, "diagnose-together", nominal)
+
+
+def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
+    """Return the number of the block of each source; None for all where only the readings can tell."""
+    if one_block is not None:
+        return [0 if one_block else number for number in range(len(sources))]
+    sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
+    names = [source.block_name for source in sources]
+    told = list(zip(names, sheets, strict=True)) if all(names) else [("", sheet) for sheet in sheets]
+    kinds = list(dict.fromkeys(told))
+    return [kinds.index(one) for one in told] if len(kinds) > 1 else [None] * len(sources)
 
 
 def _require_same_bench(first: Source, other: Source) -> None:
@@ -137,8 +164,6 @@ def _require_same_bench(first: Source, other: Source) -> None:
         "limits of the stand": first.stand_u == other.stand_u,
         "installations": one.keys() == two.keys()
         and all(np.allclose(one[name].block_from_platform, two[name].block_from_platform) for name in one),
-        "scale factors": first.bench.unit_under_test.scale_factors
-        == other.bench.unit_under_test.scale_factors,
     }
     different = [what for what, agrees in same.items() if not agrees]
     if different:
@@ -158,8 +183,10 @@ def _began_s(source: Source) -> float | None:
         return None
 
 
-def diagnosis_of(source: Source) -> FullDiagnosis:
+def diagnosis_of(source: Source, nominal: Floats | None = None) -> FullDiagnosis:
     """Diagnose a source with its own bench and model; thresholds are kept in the user's cache folder.
+
+    `nominal` (blocks, 3) are the scale factors of several blocks, by default those of the bench file.
 
     What the early warning named while a run was taken is put right first. Raises `CalibrationError` where the
     readings do not determine the coefficients, `TooLittleLeft` where they would not without their mistakes.
@@ -177,6 +204,8 @@ def diagnosis_of(source: Source) -> FullDiagnosis:
                 source=source.name,
                 simulated=source.simulated,
                 known=known,
+                stated=source.taken.stated,
+                nominal=nominal,
             )
     except TooLittleLeft as found:
         found.bench, found.corrections = taken, source.traced.to_json()

@@ -20,6 +20,7 @@ from rich.console import Console
 
 from bench.analysis.calibration.estimators import GLS
 from bench.api.calibration import CalibrationResult, calibration_of
+from bench.api.confirmation import ConfirmationResult, confirmation_of
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.api.origin import origin_beside
 from bench.api.own_effects import knowing_effects_in
@@ -151,6 +152,23 @@ def diagnose(
     with knowing_effects_in(effects):
         body = body_of(_loaded(sources, bench, model, g, runs, skip_bad_rows=skip_bad_rows))
         return DiagnosisResult(body.source, diagnosis_of(body.source))
+
+
+def confirm(
+    source: Data,
+    *,
+    model: str | Path,
+    bench: Bench = None,
+    g: float | None = None,
+    skip_bad_rows: bool = False,
+    runs: str | Path | None = None,
+) -> ConfirmationResult:
+    """Return whether new readings confirm a model file that was found in others, as `bench confirm` finds it.
+
+    All else as in `calibrate`.
+    """
+    (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+    return confirmation_of(loaded)
 
 
 @dataclass(frozen=True)

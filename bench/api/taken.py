@@ -28,6 +28,11 @@ class BenchTaken:
     chosen: str = ""
 
     @property
+    def stated(self) -> bool:
+        """Whether anybody said that these readings are of this bench: else it stands in for theirs."""
+        return self.why != _NONE_NAMED
+
+    @property
     def words(self) -> str:
         """Which one it is, and why that one."""
         return f"{self.file.name}, {self.why}"

@@ -34,6 +34,7 @@ COMMANDS: Final = {
     "verify": "Δg at the verification points against the limit; exit status 1 unless the rule accepts all.",
     "report": "Write the report of a run: one HTML page.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
+    "confirm": "New readings with and without a model: how far it closes the gap; exit status 1 unless confirmed.",
     "accept": "Give terms without a name, which a diagnosis found, a name and a sentence.",
     "compensate": "Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board.",
     "tumble": "Each axis of a multi-point tumble by IEEE 1293:"

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +25,7 @@ from bench.cli.options import (
     SkipOption,
     Sources,
     app,
+    one_thread,
 )
 
 if TYPE_CHECKING:
@@ -34,16 +35,20 @@ if TYPE_CHECKING:
     from bench.api.diagnosis import Body
     from bench.api.source import Request
 
-THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Where the libraries of linear algebra look for the number of their threads."""
-
 
 @app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
 def diagnose(
     sources: Sources,
     together: Annotated[
-        bool, typer.Option("--together", help="Several sources are one body of data: one block, one bench.")
+        bool, typer.Option("--together", help="Several sources are one body of data, of one bench.")
     ] = False,
+    one_block: Annotated[
+        bool | None,
+        typer.Option(
+            "--one-block/--a-block-each",
+            help="With --together: whose runs they are (default: as names and readings say).",
+        ),
+    ] = None,
     accept_first: Annotated[
         bool,
         typer.Option(
@@ -67,15 +72,15 @@ def diagnose(
     runs: RunsOption = RUNS,
 ) -> int:
     """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
-    # many small matrices: the threads of a linear algebra library would wait for one another
-    for name in THREADS:
-        os.environ.setdefault(name, "1")
+    one_thread()
     from bench.analysis.diagnosis.full import TooLittleLeft
     from bench.api.source import Request
 
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
     try:
-        results = diagnosed(request, json, together=together, accept_first=accept_first, report=report)
+        results = diagnosed(
+            request, json, together=together, one_block=one_block, accept_first=accept_first, report=report
+        )
     except TooLittleLeft as found:
         if len(sources) > 1:
             raise
@@ -97,6 +102,7 @@ def diagnosed(
     target: str | None,
     *,
     together: bool = False,
+    one_block: bool | None = None,
     accept_first: bool = False,
     report: bool | None = None,
 ) -> list[FullDiagnosis]:
@@ -113,7 +119,7 @@ def diagnosed(
     printing.bench_files(loaded, target)
     with knowing_effects_of(*loaded):
         if alone:
-            body = body_of(loaded)
+            body = body_of(loaded, one_block=one_block)
             with progress.shown():
                 results = [examined(body, accept_first=accept_first, report=report is not False)]
         else:
@@ -168,7 +174,7 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     """Diagnose a body of readings and write what is asked for, the procedure to carry out next in any case."""
     from bench.api.diagnosis import diagnosis_of
 
-    full = diagnosis_of(body.source)
+    full = diagnosis_of(body.source, body.nominal)
     full = replace(full, copy=_written_copy(body, full))
     verdict, shrinks = full.diagnosis.of_copy, full.diagnosis.gap.shrinks
     # what makes the gap no smaller is no better model, whoever accepts it

@@ -232,3 +232,16 @@ LatestRun = Annotated[
 ]
 
 RUNS = Path("runs")
+
+
+THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Where the libraries of linear algebra look for the number of their threads."""
+
+
+def one_thread() -> None:
+    """Let linear algebra have one thread, where nobody said how many: of small matrices they wait for one another.
+
+    To be said before numpy is imported.
+    """
+    for name in THREADS:
+        os.environ.setdefault(name, "1")

@@ -18,6 +18,7 @@ class AcutrolSection(MotorisedHeadForm):
     """One axis of a rate table with an ACUTROL controller; below `still_rate` it stands."""
 
     facts: ClassVar = acutrol
+    scale_on_axis: ClassVar[bool] = True
 
     driver: Literal["acutrol"]
     resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.40::9888::SOCKET'")]

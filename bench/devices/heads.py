@@ -29,6 +29,8 @@ class HeadForm(DeviceSection):
     """What every head is told: how far the angle at a reading may be from its target."""
 
     role: ClassVar[Role] = "head"
+    scale_on_axis: ClassVar[bool] = False
+    """Whether what it reads sits on the axis that turns the block, with no gear or coupling between them."""
 
     name: str = "head"
     tolerance: SizeRad

@@ -40,7 +40,8 @@ class Conditions:
     `temperature_c` are NaN where not known; `scan_order` (n, 3) has the channels 0, 1, 2 in the order in
     which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
     installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
-    the head, NaN for an installation that it does not know.
+    the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
+    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each.
     """
 
     mounts: tuple[Mounting, ...]
@@ -54,6 +55,7 @@ class Conditions:
     scan_order: Ints
     reference_c: float = REFERENCE_C
     turns: Floats | None = None
+    began_s: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -71,6 +73,8 @@ class Conditions:
         without a time between or beside others are placed by the same pace.
         """
         known = np.isfinite(self.time_s)
+        if self.began_s is not None:
+            return np.asarray(self.time_s - self.began_s)
         if known.all():
             return self.time_s
         steps = SETTING_S + REMOUNT_S * self.remounted
@@ -93,8 +97,9 @@ class Conditions:
         warmth = self.temperature_c - self.reference_c
         if known.all():
             return warmth
-        order = np.argsort(self.elapsed_s[known], kind="stable")
-        between = np.interp(self.elapsed_s, self.elapsed_s[known][order], warmth[known][order])
+        clock_s = self.elapsed_s if self.began_s is None else self.time_s
+        order = np.argsort(clock_s[known], kind="stable")
+        between = np.interp(clock_s, clock_s[known][order], warmth[known][order])
         return np.where(known, warmth, between)
 
     def select(self, rows: Mask) -> Conditions:
@@ -131,6 +136,7 @@ class Conditions:
         temperature_c: Sequence[float] | Floats | None = None,
         scan_order: Sequence[Sequence[int]] | Ints | None = None,
         reference_c: float = REFERENCE_C,
+        began_s: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
 
@@ -152,4 +158,5 @@ class Conditions:
             temperature_c=np.asarray(unknown if temperature_c is None else temperature_c, dtype=np.float64),
             scan_order=np.asarray(order, dtype=np.int64).reshape(n, 3),
             reference_c=reference_c,
+            began_s=began_s,
         )

@@ -46,6 +46,8 @@ class Readings:
     `skipped` lists rows that were left out on request, with the reason; `verification_missing` counts the
     verification points that were planned or written but are not among the rows. `corrected` says that known
     errors of the instruments are taken away; `resolution_read` is then the last digit before, in `unit`.
+    Where several runs are one table, `began_s` (n,) is when each row's run began on the clock of `time_s`, and
+    `block` (n,) numbers the blocks that were measured; None is one run, one block.
     """
 
     source: str
@@ -68,6 +70,15 @@ class Readings:
     verification_missing: int = 0
     corrected: bool = False
     resolution_read: float | None = None
+    began_s: Floats | None = None
+    block: Ints | None = None
+
+    @property
+    def run(self) -> Ints:
+        """Number of the run that a row is of, in the order of their beginnings, shape (n,)."""
+        if self.began_s is None:
+            return np.zeros(len(self), dtype=np.int64)
+        return np.unique(self.began_s, return_inverse=True)[1].astype(np.int64)
 
     @property
     def resolution(self) -> float:
@@ -125,6 +136,7 @@ class Readings:
             scan_order=[scan_order(text) for text in self.extra[SCAN_ORDER]]
             if SCAN_ORDER in self.extra
             else None,
+            began_s=self.began_s,
         )
 
 

@@ -31,14 +31,15 @@ class _ByDesign(ThresholdCache):
 
     def __init__(self) -> None:
         super().__init__(None)
-        self.known: dict[tuple[str, float], Threshold] = {}
+        self.known: dict[tuple[str, float, int], Threshold] = {}
         self.key = ("", 0.0)
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
-        if self.key not in self.known:
-            self.known[self.key] = super().threshold(linear, whitened, setting_rad)
-        return self.known[self.key]
+        key = (*self.key, len(linear))
+        if key not in self.known:
+            self.known[key] = super().threshold(linear, whitened, setting_rad)
+        return self.known[key]
 
 
 def _points(simulation: Simulation | None) -> list[tuple[float, float]]:

@@ -15,8 +15,8 @@ NAMES = [
     "bias_drift", "scale_drift", "turn_on_shift", "axis_tilt", "zero_offset", "mounting_error",
     "mounting_offset", "mounting_roll", "head_eccentricity", "head_ellipticity", "head_graduation",
     "backlash", "axis_wobble", "bracket_tilt", "foundation_tilt", "block_slip", "head_zero_shift",
-    "meters_exchanged", "voltmeter_nonlinearity", "voltmeter_drift", "range_offset", "channel_crosstalk",
-    "voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity",
+    "meters_exchanged", "voltmeter_nonlinearity", "voltmeter_drift", "voltmeter_warm_up", "range_offset",
+    "channel_crosstalk", "voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity",
 ]  # fmt: skip
 
 PER_MOUNT = {

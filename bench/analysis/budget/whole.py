@@ -25,6 +25,7 @@ from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
 from bench.files.bench.file import BenchFile
 from bench.model import Block, Conditions, ForwardModel
+from bench.model.block import COEFFICIENTS
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
@@ -104,7 +105,24 @@ def sign(
     )
     gravity = [error.u for error in of_bench if error.name == GRAVITY]
     return replace(
-        calibration, covariance=covariance, sources=own, dof=dof, gravity_u=gravity[0] if gravity else 0.0
+        calibration, covariance=covariance, sources=own, dof=dof, gravity_u=gravity[0] if gravity else 0.0,
+        notes=(*calibration.notes, *_on_roll(roll, covariance)),
+    )  # fmt: skip
+
+
+def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
+    """Say what would show the third mounting angle, where it is most of the uncertainty of a coefficient."""
+    most = [
+        n
+        for n, part, u2 in zip(COEFFICIENTS, np.diag(roll), np.diag(covariance), strict=True)
+        if part > 0.5 * u2
+    ]
+    if not most:
+        return ()
+    listed = " and ".join([", ".join(most[:-1]), most[-1]] if len(most) > 1 else most)
+    return (
+        f"most of u of {listed} is the third mounting angle, which these installations do not show: the procedure "
+        "remount-90 shows it, a measured mounting_roll in the bench file limits it",
     )
 
 
@@ -196,9 +214,16 @@ def _meters(bench: BenchFile) -> tuple[int, int, int]:
 def _acting(
     calibration: Calibration, bench: BenchFile, model: ForwardModel, day: date | None
 ) -> list[ErrorSource]:
-    """The errors that no reading shows; linearity is none of them where the readings showed what repeats share."""
-    shown = any(component.what == "setting" for component in calibration.shared)
-    return [e for e in hidden_sources(bench, model, day) if not (shown and e.kind == "voltmeter_linearity")]
+    """The errors that no reading shows.
+
+    Linearity is none of them where the readings showed what repeats share, at least as large: it is in that.
+    """
+    shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
+    return [
+        error
+        for error in hidden_sources(bench, model, day)
+        if error.kind != "voltmeter_linearity" or error.u > shown
+    ]
 
 
 def _source(error: ErrorSource, taken: Taken, gain: Floats) -> SourceOfError:

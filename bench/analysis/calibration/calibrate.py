@@ -169,7 +169,9 @@ def _free_rows(chosen: Chosen, readings: Readings) -> FreeRows | None:
     whole, own = readings.conditions(), chosen.free.conditions()
     at = chosen.free_rows
     warmth = whole.warmth_k[at] + whole.reference_c
-    return FreeRows(chosen.free.signal, replace(own, time_s=whole.elapsed_s[at], temperature_c=warmth))
+    return FreeRows(
+        chosen.free.signal, replace(own, time_s=whole.elapsed_s[at], temperature_c=warmth, began_s=None)
+    )
 
 
 def _notes_on_rows(readings: Readings, chosen: Chosen, estimator: str, *, join_free: bool) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ LISTED: Final = 8
 class Rival:
     """A family beside what else was found: ln odds that it is there, whether the data can tell it from the named.
 
-    `shift` (12,) is by how much the coefficients would differ were it this one, in units of their u.
+    `shift` (12 of each block,) is by how much the coefficients would differ were it this one, in units of their u.
     """
 
     family: str
@@ -37,7 +37,7 @@ class Rival:
     def largest_shift(self) -> tuple[str, float]:
         """The coefficient that would change most, and by how many u."""
         worst = int(np.argmax(np.abs(self.shift)))
-        return COEFFICIENTS[worst], float(self.shift[worst])
+        return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evidence and the coefficient that would change most."""
@@ -62,10 +62,11 @@ def rivals(diagnosis: Diagnosis, setting_rad: float) -> tuple[tuple[Rival, ...],
     repeats = noise_of_repeats(linear, linear.readings.resolution)
     whitened = Whitened.of(make_noise_grid(linear, repeats.sigma, setting_rad), candidates)
     data = whitened.reduce(linear.response[:, None])
-    u = np.sqrt(np.diag(diagnosis.fitted.covariance))[:FIXED]
+    fixed = linear.fixed.shape[1]
+    u = np.sqrt(np.diag(diagnosis.fitted.covariance))[:fixed]
     # with the same wide prior as each rival, or the priors would pass for a difference
     found = posterior(linear, candidates.columns[:, list(naming.columns)], diagnosis.noise)
-    coefficients = found.mean[:FIXED]
+    coefficients = found.mean[:fixed]
     rankings = []
     for one in naming.found:
         others = [i for f in naming.found if f is not one for i in f.variant.columns]
@@ -80,7 +81,7 @@ def rivals(diagnosis: Diagnosis, setting_rad: float) -> tuple[tuple[Rival, ...],
             )
             variant = one.variant if family == one.variant.family else candidates.variants[best]
             columns = candidates.columns[:, [*others, *variant.columns]]
-            shift = (posterior(linear, columns, diagnosis.noise).mean[:FIXED] - coefficients) / u
+            shift = (posterior(linear, columns, diagnosis.noise).mean[:fixed] - coefficients) / u
             rows.append(Rival(family, scored.evidence[family], family in one.ties, shift))
         rankings.append(tuple(rows))
     return tuple(rankings)

@@ -7,7 +7,7 @@ Beside the catalogue stand unnamed families, which describe what nothing in the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -29,6 +29,8 @@ ROUND: Final = ("cosine", "sine")
 LEADS: Final = (ROUND, "across_")
 """Parameters that belong together, amplitude and phase of one wave: with the same lead of their names."""
 
+ZERO_BY_RUN: Final = "zeros_by_run"
+SCALE_BY_RUN: Final = "scale_by_run"
 STEP_AFTER: Final = "step"
 SINGLE_READING: Final = "single_reading"
 SINGLE_SETTING: Final = "single_setting"
@@ -38,6 +40,7 @@ SLOW_IN_TIME: Final = "slow_in_time"
 HEAD_ANGLE: Final = "free_head_angle"
 UNNAMED: Final = (
     FREE_BY_ANGLE, FREE_BY_PASS, HEAD_ANGLE, SLOW_IN_TIME, STEP_AFTER, SINGLE_READING, SINGLE_SETTING,
+    ZERO_BY_RUN, SCALE_BY_RUN,
 )  # fmt: skip
 """Families that no physics stands behind."""
 
@@ -96,7 +99,9 @@ class Candidates:
         self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
 
 
-class _Collector:
+class Collector:
+    """What is gathered of columns and of the variants that they make up."""
+
     def __init__(self, linear: LinearSystem) -> None:
         self.linear = linear
         self.columns: list[Floats] = []
@@ -120,11 +125,12 @@ class _Collector:
         if key not in self._everywhere:
             self._everywhere[key] = plausible_columns(self.linear, effect, parameter, shape, ())
         if mounts not in self._rows:
-            self._rows[mounts] = rows_of(mounts, self.linear.view.conditions)[self.linear.rows.reading]
+            self._rows[mounts] = rows_of(mounts, self.linear.conditions)[self.linear.rows.reading]
         rows = self._rows[mounts]
         return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
     def add(self, column: Floats, kind: Column, scale: float) -> int:
+        """Add a column (N,) for one plausible size, `scale` in SI; return its number."""
         self.columns.append(column)
         self.kinds.append(kind)
         self.scale.append(scale)
@@ -146,17 +152,29 @@ class _Collector:
             self.variants.append(Variant(family, places, channels, where=where))
 
 
-def make_candidates(linear: LinearSystem, unit_noise: float) -> Candidates:
-    """Collect all that might be missing in these readings.
+MountSets = Callable[[LinearSystem, Effect], Iterator[tuple[tuple[str, ...], ...]]]
+"""Sets of groups of mountings that an effect may have: each group has parameters of its own; () is everywhere."""
+
+
+def make_candidates(
+    linear: LinearSystem,
+    unit_noise: float,
+    mount_sets: MountSets | None = None,
+    unnamed: Callable[[Collector, float], None] | None = None,
+    *,
+    absent: Collection[str] = (),
+) -> Candidates:
+    """Collect all that might be missing in these readings, but for effects that are `absent` from the bench.
 
     `unit_noise` is the size of the noise of a reading, unit of the signal: what is unnamed has no other scale.
+    Several runs have other `mount_sets` and other families that are `unnamed` than one.
     """
-    collector = _Collector(linear)
+    collector = Collector(linear)
     for effect in CATALOGUE.values():
-        if linear.readings.unit == "V" or not in_volts(effect):
-            _add_effect(collector, effect)
+        if effect.name not in absent and (linear.readings.unit == "V" or not in_volts(effect)):
+            _add_effect(collector, effect, mount_sets or _mount_sets)
     collector.variants = [v for v in collector.variants if not _in_model(v, linear.model.effects)]
-    _add_unnamed(collector, unit_noise)
+    (unnamed or _add_unnamed)(collector, unit_noise)
     return Candidates(
         np.stack(collector.columns, axis=1),
         tuple(collector.kinds),
@@ -185,17 +203,16 @@ def _in_model(variant: Variant, effects: Sequence[AppliedEffect]) -> bool:
 # --- effects of the catalogue -----------------------------------------------------------------------
 
 
-def _add_effect(collector: _Collector, effect: Effect) -> None:
+def _add_effect(collector: Collector, effect: Effect, mount_sets: MountSets) -> None:
     linear_ones = [p for p in effect.parameters if not p.grid]
     shapes = [p for p in effect.parameters if p.grid]
     grids = [[(p.name, value) for value in p.grid] for p in shapes]
     for shape in itertools.product(*grids):
-        for mounts in _mount_sets(collector.linear, effect):
+        for mounts in mount_sets(collector.linear, effect):
             _add_form(collector, effect, linear_ones, shape, mounts)
 
 
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
-    """Yield sets of groups of mountings: each group has parameters of its own; () is everywhere."""
     if effect.per_pass:
         yield from ((spell,) for spell in spells(linear.readings, lasting=effect.outlasts_mount))
         return
@@ -213,7 +230,7 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
 
 
 def _add_form(
-    collector: _Collector,
+    collector: Collector,
     effect: Effect,
     parameters: list[Parameter],
     shape: tuple[tuple[str, float], ...],
@@ -280,7 +297,7 @@ WAVES: Final = 6
 """Half waves over a run by which something slow in time is described."""
 
 
-def _add_unnamed(collector: _Collector, unit: float) -> None:
+def _add_unnamed(collector: Collector, unit: float) -> None:
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
     oriented = linear.setting >= 0
@@ -291,12 +308,12 @@ def _add_unnamed(collector: _Collector, unit: float) -> None:
     phase = _phase(linear)
     for channel in range(3):
         mine = oriented & (rows.channel == channel)
-        free(FREE_BY_ANGLE, (channel,), [unit * one for one in _each(mine, mount, angle)], several=True)
-        free(FREE_BY_PASS, (channel,), [unit * one for one in _each(mine, mount, pass_number)], several=True)
+        free(FREE_BY_ANGLE, (channel,), [unit * one for one in each(mine, mount, angle)], several=True)
+        free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
         waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
         free(SLOW_IN_TIME, (channel,), waves)
     steepness = linear.typical_slope
-    errors = [unit * np.where(one > 0.0, linear.slope / steepness, 0.0) for one in _each(oriented, angle)]
+    errors = [unit * np.where(one > 0.0, linear.slope / steepness, 0.0) for one in each(oriented, angle)]
     free(HEAD_ANGLE, (0, 1, 2), errors, several=True)
     last = int(rows.reading[oriented].max())
     for channel in range(3):
@@ -315,7 +332,7 @@ def _add_unnamed(collector: _Collector, unit: float) -> None:
             free(SINGLE_SETTING, (0, 1, 2), [unit * column / length], f"reading {reading + 1}")
 
 
-def _each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
+def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
     """Yield for each combination of labels, in order, 1 in the rows of `mine` that have it and 0 in all others."""
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):

@@ -9,34 +9,37 @@ from typing import Final
 import numpy as np
 from scipy import special
 
+from bench.analysis.diagnosis.aliases import looking_like, order_of
 from bench.analysis.diagnosis.applied import applied_of
+from bench.analysis.diagnosis.assumed import assumed
 from bench.analysis.diagnosis.candidates import (
     FREE_BY_ANGLE,
     FREE_BY_PASS,
     Candidates,
     Variant,
-    in_volts,
 )
+from bench.analysis.diagnosis.common_volts import common_volts
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
 from bench.analysis.diagnosis.form.describe import describe
 from bench.analysis.diagnosis.form.search import Setting
 from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
+from bench.analysis.diagnosis.joint import find_mistakes_in_each, with_blocks
+from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.looked import look
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
 from bench.analysis.diagnosis.noise_grid import RATIOS
+from bench.analysis.diagnosis.one_run import look_at_runs
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
 from bench.analysis.diagnosis.where import find_places
-from bench.analysis.mistakes.search import find_mistakes
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
-from bench.model.conditions import REMOUNT_S, SETTING_S
 from bench.readings.table import Readings
 
 UNEXPLAINED: Final = 1e-3
@@ -49,20 +52,31 @@ def diagnose(
     stand_u: Mapping[str, float],
     nominal_scale_factors: Floats | None = None,
     cache: ThresholdCache | None = None,
+    there: KnownBench = NOTHING_KNOWN,
 ) -> Diagnosis:
     """Diagnose one table of readings against a model.
 
     `stand_u` holds standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad, and of
     the "voltmeter_error", V;
-    `nominal_scale_factors` (3,) with sign come from the data sheet of the block (unit/g) and tell swapped or
-    reversed channels. The record is never changed: a mistake is corrected in a copy. Raises
+    `nominal_scale_factors` (3,), or (blocks, 3) of several, with sign come from the data sheet (unit/g) and tell
+    swapped or reversed channels. `there` is what is known of meters and head: effects of what is not there are no
+    candidates. The record is never changed: a mistake is corrected in a copy. Raises
     `CalibrationError` where the readings do not determine the coefficients.
     """
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
-    mistakes = find_mistakes(readings, model, stand_u, nominal_scale_factors)
-    looked, naming = look(
-        mistakes.corrected, model, stand, setting_rad, cache or ThresholdCache(None), readings.resolution
+    readings = with_blocks(readings, model)
+    mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
+    absent = there.absent(mistakes.corrected)
+    find = look_at_runs if mistakes.corrected.run.any() else look
+    looked, naming = find(
+        mistakes.corrected,
+        model,
+        stand,
+        setting_rad,
+        cache or ThresholdCache(None),
+        readings.resolution,
+        absent,
     )
     linear, candidates, whitened, data = looked.linear, looked.candidates, looked.whitened, looked.data
     repeats, grid, limit = looked.repeats, looked.whitened.grid, looked.limit
@@ -73,8 +87,9 @@ def diagnose(
     ratio = RATIOS.index(near_ratios(linear, noise)[1])
     sizes = detectable(whitened, limit, ratio)
     unseen = hidden(whitened, limit, ratio, sizes)
-    in_model = {applied.effect.name for applied in model.effects}
-    effects = _effects(candidates, naming, fitted, limit)
+    elsewhere = {applied.effect.name for applied in model.effects} | absent.keys()
+    measured_rad = linear.moved.angle_rad
+    effects = _effects(candidates, naming, fitted, limit, measured_rad)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
@@ -92,8 +107,10 @@ def diagnose(
         where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
-        hidden={family: parts for family, parts in unseen.items() if family not in in_model},
-        detectable=sizes,
+        hidden={family: parts for family, parts in unseen.items() if family not in elsewhere},
+        absent=absent,
+        unseen_per_turn=looking_like(measured_rad, 0),
+        detectable={family: size for family, size in sizes.items() if family not in absent},
         gap=gap,
         registered=registered,
         linear=linear,
@@ -103,21 +120,13 @@ def diagnose(
         noise=noise,
         p_left=p_left,
         findings=findings,
-        notes=(*readings.notes, *(f.words for f in findings), *_assumed(mistakes.corrected)),
+        notes=(
+            *readings.notes,
+            *(f.words for f in findings),
+            *assumed(linear),
+            *common_volts(naming, fitted, linear),
+        ),
     )
-
-
-def _assumed(readings: Readings) -> Iterator[str]:
-    """Yield what the diagnosis takes for granted where the readings do not say it, and what it could not have."""
-    yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
-    if not np.isfinite(readings.time_s).any():
-        yield (
-            f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "
-            "are taken, and every rate and time constant rests on that"
-        )
-    if readings.unit != "V":
-        names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
-        yield f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"
 
 
 def _verdict(
@@ -170,8 +179,9 @@ def _unexplained(p: float) -> NamedEffect:
 
 
 def _effects(
-    candidates: Candidates, naming: Naming, fitted: Posterior, limit: Threshold
+    candidates: Candidates, naming: Naming, fitted: Posterior, limit: Threshold, angle_rad: Floats
 ) -> tuple[NamedEffect, ...]:
+    """Return what was found with its values; `angle_rad` are the angles measured."""
     effects = []
     for found, mine in naming.parts():
         variant = found.variant
@@ -192,7 +202,14 @@ def _effects(
             value, covariance = fitted.amplitudes[mine], fitted.amplitude_covariance[mine, mine]
             applied = applied_of(candidates, variant, value, np.sqrt(np.diag(covariance)))
             together = known_together(candidates, variant, value, covariance)
-            effect = replace(effect, parameters=tuple(_values(applied)), applied=applied, together=together)
+            order = order_of(applied[0])
+            effect = replace(
+                effect,
+                parameters=tuple(_values(applied)),
+                applied=applied,
+                together=together,
+                aliases=() if order is None else looking_like(angle_rad, order),
+            )
         effects.append(effect)
     return tuple(effects)
 

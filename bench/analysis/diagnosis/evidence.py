@@ -53,23 +53,34 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The candidates' columns in units of the noise: `columns` (ratios, N, P), their Gram matrix."""
+    """The candidates' columns in units of the noise, by their Gram matrix (ratios, P, P)."""
 
     grid: NoiseGrid
     candidates: Candidates
-    columns: Floats
     gram: Floats
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
         """Whiten the columns of all candidates."""
-        columns = np.stack([white @ (candidates.columns / grid.sigma) for white in grid.white])
-        return cls(grid, candidates, columns, np.swapaxes(columns, 1, 2) @ columns)
+        many = candidates.columns.shape[1]
+        gram = np.empty((len(grid.white), many, many))
+        for ratio, white in enumerate(grid.white):
+            columns = white @ (candidates.columns / grid.sigma)
+            gram[ratio] = columns.T @ columns
+        return cls(grid, candidates, gram)
 
     def reduce(self, response: Floats) -> Data:
         """Return what is needed of responses (N, sets)."""
-        r = np.stack([white @ (response / self.grid.sigma) for white in self.grid.white])
-        return Data(np.einsum("grs,grs->gs", r, r), np.swapaxes(self.columns, 1, 2) @ r)
+        sets, size = response.shape[1], self.grid.sigma
+        square = np.empty((len(self.grid.white), sets))
+        along = np.empty((len(self.grid.white), self.candidates.columns.shape[1], sets))
+        for start in range(0, sets, CHUNK):
+            part = slice(start, start + CHUNK)
+            for ratio, white in enumerate(self.grid.white):
+                weighed = white.weigh(response[:, part] / size)
+                square[ratio, part] = np.einsum("ns,ns->s", response[:, part] / size, weighed)
+                along[ratio, :, part] = self.candidates.columns.T @ (weighed / size)
+        return Data(square, along)
 
 
 @dataclass(frozen=True)

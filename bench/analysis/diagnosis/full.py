@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,13 @@ import numpy as np
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.diagnosis.alternatives import Rival, rivals
 from bench.analysis.diagnosis.course import diagnose
+from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.next_measurement import Proposal, propose
 from bench.analysis.diagnosis.result import Diagnosis, mistake_to_dict
 from bench.analysis.diagnosis.show import Shown, contradicted, show
 from bench.analysis.diagnosis.threshold import ThresholdCache
 from bench.analysis.mistakes.search import Mistake
+from bench.base.arrays import Floats
 from bench.base.numbers import without_infinity
 from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
@@ -29,7 +31,8 @@ class FullDiagnosis:
 
     `ranking` has for each effect that was found the families in its place; `skipped_rows` names rows of the
     source that could not be read. `model`, `report` and `copy`, the readings with mistakes put right, are files
-    that were written; `corrections` is what is known of the instruments' certificates.
+    that were written; `corrections` is what is known of the instruments' certificates. Of several blocks
+    `shown` is the first and `blocks` are all.
     """
 
     source: str
@@ -44,6 +47,7 @@ class FullDiagnosis:
     copy: Path | None = None
     bench: Mapping[str, str] | None = None
     corrections: Sequence[Mapping[str, Any]] = ()
+    blocks: tuple[Shown, ...] = ()
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
         """Return the ranking of the effect of this number; nothing where it was not ranked."""
@@ -52,6 +56,7 @@ class FullDiagnosis:
     def to_dict(self) -> dict[str, Any]:
         """Return the promised result; null stands for what is no finite number, as JSON has none."""
         shown = self.shown
+        blocks = [_of_block(one) for one in self.blocks]
         whole = self.diagnosis.to_dict() | {
             "next_measurement": None if self.next_measurement is None else self.next_measurement.to_dict(),
             "model": None if self.model is None else str(self.model),
@@ -68,6 +73,7 @@ class FullDiagnosis:
             "skipped_rows": list(self.skipped_rows),
             "report": None if self.report is None else str(self.report),
             "corrected": self._corrected(),
+            **({"blocks": blocks} if blocks else {}),
         }
         return {key: without_infinity(value) for key, value in whole.items()}
 
@@ -82,6 +88,16 @@ class FullDiagnosis:
             "verdict": self.diagnosis.of_copy,
             "rests_on": [mistake.words for mistake in mistakes.mistakes],
         }
+
+
+def _of_block(shown: Shown) -> dict[str, Any]:
+    """Return what is shown of one of several blocks: its mountings, its coefficients, the test of its readings."""
+    return {
+        "mountings": [str(mount) for mount in shown.before.calibration.fitted.conditions().mounts],
+        "coefficients": {name: asdict(change) for name, change in shown.coefficients.items()},
+        "p_before": shown.before.test.p,
+        "p_after": None if shown.after is None else shown.after.test.p,
+    }
 
 
 class TooLittleLeft(CalibrationError):
@@ -106,6 +122,9 @@ class TooLittleLeft(CalibrationError):
             "next_measurement": None,
             "hidden": [],
             "hidden_parts": {},
+            "absent": {},
+            "unseen_per_turn": [],
+            "verification_orientation": None,
             "gap": None,
             "model": None,
             "noise": None,
@@ -137,17 +156,23 @@ def diagnose_fully(
     source: str,
     simulated: bool,
     known: Sequence[Mistake] = (),
+    stated: bool = True,
+    nominal: Floats | None = None,
 ) -> FullDiagnosis:
     """Diagnose readings that were taken on a bench, and work out what follows; nothing is written.
 
     `source` is what they are called, `simulated` whether they come from simulated instruments, `known` mistakes
-    that are put right in them already. Raises `CalibrationError` where the readings do not determine the
+    that are put right in them already, `nominal` (blocks, 3) the scale factors of several blocks where they are
+    not all that of the bench file. Where nobody `stated` that the readings are of this bench, nothing is
+    concluded from what meters and head it has. Raises `CalibrationError` where the readings do not determine the
     coefficients: `TooLittleLeft` where some were known.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
-    nominal = np.array(bench.unit_under_test.scale_factors.values) if readings.unit == "V" else None
+    sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal
+    sheet_of_unit = sheet if readings.unit == "V" else None
     try:
-        diagnosis = diagnose(readings, model, stand_u, nominal, cache)
+        there = KnownBench.of(bench) if stated else NOTHING_KNOWN
+        diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
     except CalibrationError as reason:
         if known:
             raise TooLittleLeft(known, str(reason), simulated=simulated) from reason
@@ -155,14 +180,33 @@ def diagnose_fully(
     if known:
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
         diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
-    shown = show(diagnosis.mistakes.corrected, model, diagnosis.applied, stand_u, g_m_s2)
-    stated = contradicted(model.effects, shown.before.effects)
+    model = diagnosis.linear.model
+    blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
+    shown = blocks[0]
+    told = contradicted(model.effects, shown.before.effects)
     return FullDiagnosis(
         source=source,
         simulated=simulated,
         skipped_rows=readings.skipped,
-        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *stated)),
+        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *told)),
         shown=shown,
         ranking=rivals(diagnosis, stand_u["setting_error"]),
-        next_measurement=propose(diagnosis, bench),
+        # a proposal is for one block: which of several would be measured again, nobody said
+        next_measurement=propose(diagnosis, bench) if len(blocks) == 1 else None,
+        blocks=blocks if len(blocks) > 1 else (),
     )
+
+
+def _shown(
+    diagnosis: Diagnosis, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
+) -> Iterator[Shown]:
+    """Yield simulation beside bench for each block, with what was found that is of it."""
+    readings = diagnosis.mistakes.corrected
+    if readings.block is None:
+        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2)
+        return
+    for number in np.unique(readings.block):
+        own = readings.select(readings.block == number)
+        mounts = {str(mount) for mount in own.conditions().mounts}
+        applied = [a for a in diagnosis.applied if not a.installations or mounts & set(a.installations)]
+        yield show(own, model, tuple(applied), stand_u, g_m_s2)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bench.analysis.calibration.calibrate import first_guess
 from bench.analysis.calibration.design import FIXED, Problem, coefficient_columns, make_problem
+from bench.analysis.diagnosis.orientation import Orientation, as_measured, orientation_of
 from bench.base.arrays import Floats, Ints
 from bench.model import STAND_ANGLES, AppliedEffect, Block, Conditions, ForwardModel
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
@@ -46,6 +47,9 @@ class LinearSystem:
     `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
     angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
     in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
+    `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is how
+    the block stood at the verification points, None where they do not tell it; where it contradicts the bench file
+    the installation V of `model` is as measured.
     """
 
     readings: Readings
@@ -59,9 +63,16 @@ class LinearSystem:
     setting: Ints
     moved: Conditions
     view: _View
+    problem: Problem
+    orientation: Orientation | None
 
     def __len__(self) -> int:
         return len(self.response)
+
+    @property
+    def own(self) -> slice:
+        """Places in `random` of the model's own effects, which are `problem.effects`."""
+        return slice(len(self.problem.stand), len(self.problem.stand) + len(self.problem.effects))
 
     @property
     def settings(self) -> int:
@@ -80,6 +91,11 @@ class LinearSystem:
         modulus = self.rows.channel == MODULUS
         of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]
         return of_channel
+
+    @property
+    def conditions(self) -> Conditions:
+        """The conditions of all readings, in the order of measurement."""
+        return self.view.conditions
 
     def rows_of(self, change: Floats) -> Floats:
         """Contract changes (n, 3) of the signals to the rows, shape (N,)."""
@@ -154,12 +170,14 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     table = readings.select(kind_of == 0)
     problem = make_problem(model, table.conditions(), stand_u)
     block = first_guess(problem, table.signal)
+    orientation = orientation_of(model, readings, block.specific_force(readings.signal), stand_u)
+    model = as_measured(model, orientation)
+    problem = replace(problem, model=model)
 
     force, by_signal, weight = _modulus(block, readings.signal[moduli])
     others = problem.prior_mean
     given = np.full((len(readings), 3), np.nan)
-    unplaced = np.array([label[i] not in model.installations for i in moduli], dtype=bool)
-    given[moduli[unplaced]] = _unit(force[unplaced])
+    given[moduli] = _unit(force)  # how the block stood there its signals say better than any bench file
     voltage_v = np.full((len(readings), 3), np.nan)
     voltage_v[inputs] = _input_v(readings.select(kind_of == 2))
     view = _View(readings.conditions(), given, voltage_v, settings, moduli, inputs, by_signal)
@@ -183,7 +201,19 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     )
     response = np.concatenate([residual.ravel(), modulus_error, input_error.ravel()])
     return LinearSystem(
-        readings, model, block, rows, response, fixed, random, slope, setting, problem.conditions, view
+        readings,
+        model,
+        block,
+        rows,
+        response,
+        fixed,
+        random,
+        slope,
+        setting,
+        problem.conditions,
+        view,
+        problem,
+        orientation,
     )
 
 

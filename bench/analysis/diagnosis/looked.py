@@ -7,7 +7,7 @@ columns say is put back: a step of Gauss and Newton, after which all is as befor
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -57,6 +57,7 @@ class _Task:
     setting_rad: float
     resolution: float
     cache: ThresholdCache
+    absent: Collection[str]
 
 
 def look(
@@ -66,13 +67,15 @@ def look(
     setting_rad: float,
     cache: ThresholdCache,
     resolution: float,
+    absent: Collection[str] = (),
 ) -> tuple[Looked, Naming]:
     """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
 
     `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
-    `resolution` the last digit of the signals. Raises `CalibrationError` where there is too little to fit.
+    `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
+    Raises `CalibrationError` where there is too little to fit.
     """
-    task = _Task(readings, model, stand, setting_rad, resolution, cache)
+    task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
     looked = _prepared(task, make_linear(readings, model, stand))
     most = 1
     naming = name(looked.whitened, looked.data, looked.limit, most)
@@ -90,7 +93,7 @@ def look(
 def _prepared(task: _Task, linear: LinearSystem) -> Looked:
     repeats = noise_of_repeats(linear, task.resolution)
     grid = make_noise_grid(linear, repeats.sigma, task.setting_rad)
-    candidates = make_candidates(linear, repeats.sigma)
+    candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
     whitened = Whitened.of(grid, candidates)
     limit = task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
@@ -116,7 +119,7 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
         return None
     readings = task.readings
     again = make_linear(replace(readings, signal=readings.signal - change), task.model, task.stand)
-    told = make_candidates(again, looked.repeats.sigma)
+    told = make_candidates(again, looked.repeats.sigma, absent=task.absent)
     if told.kinds != candidates.kinds:
         return None
     back = told.columns[:, columns] @ sizes

@@ -135,12 +135,18 @@ class Scored:
         return np.asarray(amplitude, dtype=np.float64), gram
 
 
-def name(whitened: Whitened, data: Data, threshold: Threshold, most: int = MOST_EFFECTS) -> Naming:
-    """Find what is missing in one data set, `most` effects at most."""
-    found: list[Found] = []
+def name(
+    whitened: Whitened,
+    data: Data,
+    threshold: Threshold,
+    most: int = MOST_EFFECTS,
+    begun: Sequence[Found] = (),
+) -> Naming:
+    """Find what is missing in one data set, `most` effects at most beside those that were `begun` with."""
+    found = list(begun)
     while True:
         scored = Scored.beside(whitened, data, _columns(found))
-        if scored.total < threshold.value or len(found) == most:
+        if scored.total < threshold.value or len(found) == most + len(begun):
             break
         best = scored.best()
         pair = None if best.variant.named else _named_pair(scored, data, best)

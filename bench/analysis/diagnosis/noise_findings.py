@@ -94,15 +94,19 @@ def _findings(
 
 
 def _stated(readings: Readings, stand_u: Mapping[str, float]) -> _Stated | None:
-    """Return the noise of a reading: by its samples where the file has them, else as the bench file states it.
+    """Return the noise of a reading as it is stated: the larger of what its samples show and the bench file says.
 
-    Samples are rounded to the last digit, and so is their mean.
+    Samples are rounded to the last digit, and so is their mean. An error that is fresh in each reading and alike in
+    all its samples, as that of the shipped stand, only the bench file knows: its word counts where it is larger.
     """
+    stated = []
+    size = stand_u.get("voltmeter_error", 0.0)
+    if size > 0.0 and readings.unit == "V":
+        stated.append(_Stated(size, np.inf, BENCH_FILE))
     count = readings.samples[:, None] * np.isfinite(readings.signal_sd) * (readings.signal_sd > 0.0)
     sampled = count > 1
     if np.any(sampled & readings.is_oriented[:, None]):
         of_mean = readings.signal_sd[sampled] / np.sqrt(count[sampled])
-        size = float(np.hypot(rms(of_mean), readings.resolution / np.sqrt(12.0)))
-        return _Stated(size, float(np.sum(count[sampled] - 1)), OWN_SCATTER)
-    size = stand_u.get("voltmeter_error", 0.0)
-    return _Stated(size, np.inf, BENCH_FILE) if size > 0.0 and readings.unit == "V" else None
+        shown = float(np.hypot(rms(of_mean), readings.resolution / np.sqrt(12.0)))
+        stated.append(_Stated(shown, float(np.sum(count[sampled] - 1)), OWN_SCATTER))
+    return max(stated, key=lambda each: each.size, default=None)

@@ -54,6 +54,16 @@ class Whitener:
         white -= self.basis @ (inside.T * (1.0 - self.kept)).T
         return white
 
+    def weigh(self, columns: Floats) -> Floats:
+        """Return the inverse covariance times columns (N, …), what the coefficients take away left out."""
+        white = self._half(columns)
+        inside: Floats = self.basis.T @ white
+        white -= self.basis @ (inside.T * (1.0 - self.kept**2)).T
+        weighed = np.empty_like(white)
+        for rows, factor in self.blocks:
+            weighed[rows] = factor.T @ white[rows]
+        return weighed
+
     def _half(self, columns: Floats) -> Floats:
         white = np.empty_like(columns, dtype=np.float64)
         for rows, factor in self.blocks:

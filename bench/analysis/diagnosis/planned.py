@@ -91,7 +91,9 @@ def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, li
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
-    return together([JoinedPart(first), JoinedPart(planned)])
+    both = together([JoinedPart(first), JoinedPart(planned)])
+    # after a run the clock goes on: what is settled by then stays so
+    return both if first.began_s is not None else replace(both, began_s=None)
 
 
 def reads_inputs(plan: Plan) -> bool:

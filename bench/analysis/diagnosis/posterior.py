@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, SIZES, Data, Search, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem
@@ -32,7 +31,7 @@ class NoiseSize:
 class Posterior:
     """Estimates of coefficients (less the first guess), stand and effects, with covariance, unit of the priors.
 
-    Order: 12 coefficients in their units; the columns of `LinearSystem.random`; the effects' columns.
+    Order: 12 coefficients of each block in their units; the columns of `LinearSystem.random`; the effects' columns.
     """
 
     mean: Floats
@@ -73,7 +72,9 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
     design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
     white = whiten_rows(linear, noise, np.column_stack([design, linear.response[mine]]), mine)
     random, extra = linear.random.shape[1], effects.shape[1]
-    prior = np.concatenate([np.zeros(FIXED), np.ones(random), np.full(extra, 1.0 / KNOWN_SIZE**2)])
+    prior = np.concatenate(
+        [np.zeros(linear.fixed.shape[1]), np.ones(random), np.full(extra, 1.0 / KNOWN_SIZE**2)]
+    )
     normal = white[:, :-1].T @ white[:, :-1] + np.diag(prior)
     scale = 1.0 / np.sqrt(np.diag(normal))
     covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)

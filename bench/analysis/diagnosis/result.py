@@ -29,6 +29,8 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "step": "a step of the signal",
     "single_reading": "a single reading that stands apart",
     "single_setting": "the angle of a single setting",
+    "zeros_by_run": "the zeros change from run to run; the readings do not say why",
+    "scale_by_run": "the scale factors change from run to run; the readings do not say why",
     "lack_of_fit": (
         "the readings differ from the model by more than their repeats, in no pattern that was looked for"
     ),
@@ -54,6 +56,7 @@ class EffectValue:
 class NamedEffect:
     """An effect that was found, with its parameters as estimated.
 
+    `aliases` are the other periods a turn of the head that would look the same at the angles measured.
     `applied` is empty for what has no name, else one entry for each set of mountings with values of its own.
     `together` are sums or differences of values that the readings tell where they hardly tell the values.
     `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size in
@@ -72,6 +75,7 @@ class NamedEffect:
     words: str
     applied: tuple[AppliedEffect, ...] = ()
     together: tuple[KnownTogether, ...] = ()
+    aliases: tuple[int, ...] = ()
 
     @property
     def in_catalogue(self) -> bool:
@@ -91,6 +95,7 @@ class NamedEffect:
             "p": self.p,
             "p_all_looks": self.p_all_looks,
             "rho": self.rho,
+            "aliases": list(self.aliases),
             "words": self.words,
         }
 
@@ -114,9 +119,10 @@ class Diagnosis:
 
     `of_copy` is the verdict on the copy in which mistakes are put right, where there are any, and the same as
     `verdict` where not. `hidden` are effects that the readings could never show, with their parts where it is true
-    of some; `detectable` the sizes, in plausible sizes, that are found in half of all runs. `linear`,
-    `candidates`, `naming`, `fitted` and `noise` are what plots and the report are drawn from; `findings` where that
-    noise is larger than stated.
+    of some; `absent` effects of what the bench has not, with the reason; `unseen_per_turn` how often a turn an
+    error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
+    plausible sizes, that are found in half of all runs. `linear`, `candidates`, `naming`, `fitted` and `noise`
+    are what plots and the report are drawn from; `findings` where that noise is larger than stated.
     """
 
     verdict: Verdict
@@ -125,6 +131,8 @@ class Diagnosis:
     mistakes: MistakeSearch
     effects: tuple[NamedEffect, ...]
     hidden: Mapping[str, tuple[str, ...]]
+    absent: Mapping[str, str]
+    unseen_per_turn: tuple[int, ...]
     detectable: Mapping[str, float]
     gap: Gap
     registered: Registration
@@ -156,6 +164,11 @@ class Diagnosis:
             "next_measurement": None,
             "hidden": list(self.hidden),
             "hidden_parts": {name: list(parts) for name, parts in self.hidden.items() if parts},
+            "absent": dict(self.absent),
+            "unseen_per_turn": list(self.unseen_per_turn),
+            "verification_orientation": None
+            if self.linear.orientation is None
+            else self.linear.orientation.to_dict(),
             "gap": self.gap.to_dict(),
             "model": None,
             "noise": {

@@ -228,7 +228,7 @@ def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
     """Return rows of which the modulus alone is known, times and temperatures as the whole table has them."""
     whole, own = readings.conditions(), readings.select(chosen).conditions()
     warmth = whole.warmth_k[chosen] + whole.reference_c
-    conditions = replace(own, time_s=whole.elapsed_s[chosen], temperature_c=warmth)
+    conditions = replace(own, time_s=whole.elapsed_s[chosen], temperature_c=warmth, began_s=None)
     return FreeRows(readings.signal[chosen], conditions)
 
 

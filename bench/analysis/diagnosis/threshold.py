@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -41,6 +41,11 @@ class Threshold:
     p_start: float
     decay: float
     nulls: int
+
+    def at(self, probability: float) -> Threshold:
+        """Return the evidence that chance reaches with another probability."""
+        value = self.start + self.decay * float(np.log(self.p_start / probability))
+        return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
         """Probability that chance gives so much evidence, all looks counted; 1 below the fitted tail."""
@@ -87,8 +92,7 @@ def fit_tail(evidence: Floats) -> Threshold:
     start = float(ordered[-many - 1])
     decay = float(np.mean(ordered[-many:] - start))
     p_start = many / len(ordered)
-    value = start + decay * float(np.log(p_start / FALSE_ALARMS))
-    return Threshold(value, FALSE_ALARMS, start, p_start, decay, len(ordered))
+    return Threshold(start, p_start, start, p_start, decay, len(ordered)).at(FALSE_ALARMS)
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,7 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(readings.time_s / 10).tolist(),
         np.round(readings.temperature_c, 2).tolist(),
         {name: cells.tolist() for name, cells in readings.extra.items() if name in DESIGN_COLUMNS},
-        {k: np.round(v.block_from_platform, 6).tolist() for k, v in linear.model.installations.items()},
+        {k: np.round(v.block_from_platform, 2).tolist() for k, v in linear.model.installations.items()},
         [(a.effect.name, a.channels, a.installations, sorted(a.values)) for a in linear.model.effects],
         np.round(linear.block.K / scale, 2).tolist(),
         np.round(linear.block.U0 / scale, 2).tolist(),
@@ -144,8 +148,11 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         round(setting_rad * 1e9),
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
+        whitened.candidates.families,
         (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
     ]
+    if readings.run.any():
+        parts += [readings.run.tolist(), None if readings.block is None else readings.block.tolist()]
     parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 

@@ -92,16 +92,25 @@ def _looks(linear: LinearSystem) -> Iterator[_Look]:
     rows, readings = linear.rows, linear.readings
     label = readings.installation[rows.reading]
     series = readings.series[rows.reading]
-    mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(series, label, strict=True)])
+    run = readings.run[rows.reading]
+    # of several runs, what is the same in all of them
+    visits = series if not run.any() else np.ones_like(series)
+    mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(visits, label, strict=True)])
     oriented = linear.setting >= 0
     for c, channel in enumerate(CHANNELS):
         own = oriented & (rows.channel == c)
         for mount in dict.fromkeys(mounts[own].tolist()):
             yield from _in_mount(linear, own & (mounts == mount), channel, mount)
         yield from _over_run(linear, own, channel)
+        if run.any():
+            numbers = np.unique(run)
+            yield from (_Look(channel, "all", f"run {n + 1}", _rows(own & (run == n))) for n in numbers)
     modulus = rows.channel == MODULUS
     if modulus.any():
         yield _Look("modulus", "V", "constant", _rows(modulus))
+    if run.any():
+        return
+    if modulus.any():
         yield from (
             _single(linear, row, "modulus", str(label[row])) for row in np.flatnonzero(modulus).tolist()
         )
@@ -138,7 +147,8 @@ def _in_mount(linear: LinearSystem, own: Mask, channel: str, mount: str) -> Iter
         wave = np.column_stack([np.cos(angle), np.sin(angle)])
         turned = np.where(own[:, None], np.nan_to_num(wave) * direction[:, None], 0.0)
         yield look("direction of approach, once per turn", turned)
-    yield from (_single(linear, row, channel, mount) for row in np.flatnonzero(own).tolist())
+    if not readings.run.any():
+        yield from (_single(linear, row, channel, mount) for row in np.flatnonzero(own).tolist())
 
 
 def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:

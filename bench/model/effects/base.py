@@ -84,7 +84,8 @@ class Effect(ABC):
     """An effect of the forward model. Stateless: its parameters' values are passed in.
 
     `sentence` says what it is, `shown_by` what measurement would show it. A `per_mount` effect may be of
-    one mounting alone; one that `lasts` stays from that mounting on. A `per_pass` effect may be of some passes
+    one mounting alone; one that `lasts` stays from that mounting on to the end of
+    the run. A `per_pass` effect may be of some passes
     of a mounting alone; it may go on through remounts where it `outlasts_mount`. `apart` are sets of parameters
     that it may have without the others, where they are not as their names tell. `needs_history` is true where a
     reading depends on the rows before it, `needs_path` where it depends on how the head came there.
@@ -209,7 +210,13 @@ class AppliedEffect:
         if not self.installations:
             return np.ones(len(conditions), dtype=bool)
         rows = rows_of(self.installations, conditions)
-        return np.logical_or.accumulate(rows) if self.effect.lasts else rows
+        if not self.effect.lasts:
+            return rows
+        began_s = np.zeros(len(rows)) if conditions.began_s is None else conditions.began_s
+        for began in np.unique(began_s):
+            run = began_s == began
+            rows[run] = np.logical_or.accumulate(rows[run])
+        return rows
 
     def addition(self, seen: Seen) -> Floats:
         """Return what the effect adds with its values, zero outside its mountings (see `Effect.addition`)."""

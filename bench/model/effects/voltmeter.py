@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import HOUR, Floats
+from bench.base.arrays import HOUR, MINUTE, Floats
 from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values, VoltmeterEffect
 
 NORMAL_V: Final = 2.5
@@ -41,6 +41,28 @@ class VoltmeterDrift(VoltmeterEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return r t in volts, shape (n, 3)."""
         return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
+
+
+class VoltmeterWarmUp(VoltmeterEffect):
+    """A exp(-t / tau), the same in all channels; t since the start of the run."""
+
+    name = "voltmeter_warm_up"
+    parameters = (
+        Parameter("A", "uV", 1e-6, plausible=100e-6, per_channel=False),
+        Parameter(
+            "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
+            grid=tuple(minutes * MINUTE for minutes in (10, 15, 20, 30, 45, 60)), default=20 * MINUTE,
+        ),
+    )  # fmt: skip
+    sentence = (
+        "a voltage that all channels share, such as the zero of the voltmeters, settles after switching on"
+    )
+    shown_by = "a shorted input in each pass; a longer warm-up of the meters makes it smaller"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return A exp(-t / tau) in volts, shape (n, 3)."""
+        left = values["A"] * np.exp(-seen.conditions.elapsed_s / float(values["tau"]))
+        return np.broadcast_to(left[:, None], seen.signal.shape)
 
 
 class RangeOffset(VoltmeterEffect):

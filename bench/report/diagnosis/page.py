@@ -16,12 +16,16 @@ from bench.base.numbers import aligned, concise, fixed, quantity, rounded, scale
 from bench.model import CATALOGUE, Effect
 from bench.report.diagnosis import plots, words
 from bench.report.diagnosis.form import form_in_words
+from bench.report.diagnosis.overlay import most_telling, overlay_of_mount
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
 from bench.report.template import page
 
 DRAWN: Final = 4
 """Mountings of which the residuals are drawn in full view; those beyond are folded away."""
+
+MOST_DRAWN: Final = 12
+"""Mountings of which residuals are drawn at all: many runs have many."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 """Colour of the verdict; of the others it is that of a failure."""
@@ -41,7 +45,10 @@ def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance
         state=STATES.get(diagnosis.verdict, "failed"),
         words=words,
         quantity=quantity,
-        verdict=words.verdict_in_words(diagnosis),
+        verdict=words.what_in_words(diagnosis),
+        gap=words.gap_of_verdict(diagnosis),
+        to_do=list(words.what_to_do(full)),
+        overlays=_overlays(shown),
         places=[_place(place) for place in diagnosis.where],
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
         form=list(form_in_words(diagnosis)),
@@ -121,11 +128,16 @@ def _tests(shown: Shown) -> list[Row]:
     return rows
 
 
+def _overlays(shown: Shown) -> tuple[list[Markup], list[Markup]]:
+    """Return measured and simulated signals, of the mounting that tells most, and of others, folded away."""
+    figures = [_drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[:MOST_DRAWN]]
+    return figures[:1], figures[1:]
+
+
 def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:
-    """Return the figures of the mountings: those in full view, and those folded away."""
-    figures = [
-        _drawn(plots.residuals_of_mount(shown, i)) for i in range(len(mounts_of(shown.before.calibration)))
-    ]
+    """Return the figures of the first mountings: those in full view, and those folded away."""
+    mounts = mounts_of(shown.before.calibration)[:MOST_DRAWN]
+    figures = [_drawn(plots.residuals_of_mount(shown, i)) for i in range(len(mounts))]
     return figures[:DRAWN], figures[DRAWN:]
 
 

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import Confirmation
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import quantity, typeset
@@ -115,6 +116,9 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
     out.print(f"  {effect.words}")
     for line in words.parameters_in_words(effect):
         out.print(f"  {line}")
+    if effect.aliases:
+        orders = words.orders_in_words(effect.aliases)
+        out.print(f"  at the angles measured what repeats {orders} times a turn would look the same")
     rho = f", {effect.rho:.1f} times the noise in all (rho)" if effect.rho is not None else ""
     out.print(typeset(f"  {words.p_in_words(effect.p_all_looks)} with all looks counted{rho}"))
     for other in effect.cannot_tell_from:
@@ -180,6 +184,14 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
         out.print(f"Measure next: {proposal.why} ({proposal.procedure})")
     if diagnosis.hidden:
         out.print(f"These readings could never show: {', '.join(diagnosis.hidden)}")
+    if diagnosis.unseen_per_turn:
+        out.print(
+            "Nor an error of the head's angle that repeats "
+            f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn: it is the same at all of them"
+        )
+    if diagnosis.absent:
+        reasons = "; ".join(f"{name} ({why})" for name, why in diagnosis.absent.items())
+        out.print(f"Not looked for, as the bench has nothing that could: {reasons}")
     if diagnosis.verdict == "agrees":
         sizes = [f"{name} {size}" for name, size in words.smallest_found(diagnosis)]
         out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")
@@ -192,3 +204,25 @@ def _files(full: FullDiagnosis, out: Console) -> None:
             out.print(f"{what}: {file}")
     if full.diagnosis.of_copy == "confounded" and full.model is None:
         out.print(f"no model file is written {words.why_no_model(full.diagnosis)}")
+
+
+def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
+    """Print what became of the effects of a model in new readings, and the one number."""
+    for note in notes:
+        if not quiet.get():
+            out.print(f"note: {note}")
+    for effect in found.effects:
+        for line in words.effect_now_in_words(effect):
+            out.print(line)
+    out.print(
+        f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
+        f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
+    )
+    # where the values are others, what is found beside them makes up for that
+    left = words.alike_in_words(found.diagnosis.effects)
+    if left and found.verdict == "confirmed":
+        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
+    closed = words.closed_in_words(
+        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
+    )
+    out.print(f"{source}: {found.verdict.upper()}: {closed}", style="bold")

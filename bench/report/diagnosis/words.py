@@ -8,6 +8,7 @@ from typing import Final
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
+from bench.analysis.diagnosis.confirm import EffectNow
 from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
@@ -15,7 +16,7 @@ from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.analysis.diagnosis.show import CoefficientChange, Shown, label
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake
-from bench.base.numbers import fixed, quantity, rounded, two_digits
+from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset
 from bench.model import CATALOGUE
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
@@ -128,6 +129,12 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return sizes
 
 
+def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
+    """Return how often a turn, the fewest first: "6, 10, 14, …"."""
+    shown = ", ".join(str(order) for order in orders[:listed])
+    return f"{shown}, …" if len(orders) > listed else shown
+
+
 UNCONFIRMED: Final = "Found, but not confirmed"
 """The verdict where nothing else explains it, and readings held out do not confirm it."""
 
@@ -184,10 +191,19 @@ def left_out_in_words(gap: Gap) -> Iterator[str]:
 
 def verdict_in_words(diagnosis: Diagnosis) -> str:
     """Return what the verdict rests on, in one sentence without its end."""
-    effects, gap = diagnosis.effects, diagnosis.gap
-    closed = "".join(f"; {told}" for told in [gap_in_words(gap)] if told)
-    if diagnosis.of_copy == "confounded" and gap.reason:
-        closed = f"; {gap.reason}"
+    told = gap_of_verdict(diagnosis)
+    return what_in_words(diagnosis) + (f"; {told}" if told else "")
+
+
+def gap_of_verdict(diagnosis: Diagnosis) -> str:
+    """Return how far the gap closes, or why that does not confirm what was found; nothing where nothing was."""
+    gap = diagnosis.gap
+    return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
+
+
+def what_in_words(diagnosis: Diagnosis) -> str:
+    """Return what was found, in one sentence without its end."""
+    effects = diagnosis.effects
     match diagnosis.verdict:
         case "agrees":
             return "readings and model agree within the noise"
@@ -196,12 +212,33 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
                 " or ".join([mistake.name, *mistake.cannot_tell_from])
                 for mistake in diagnosis.mistakes.mistakes
             )
-            return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}{closed}"
+            return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}"
         case "named":
-            return f"{', '.join(effect_title(effect) for effect in effects)}{closed}"
+            return ", ".join(effect_title(effect) for effect in effects)
         case "confounded":
-            return f"{alike_in_words(effects)}{closed}"
-    return f"{'; '.join(effect.words for effect in effects)}{closed}"
+            return alike_in_words(effects)
+    return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
+
+
+def what_to_do(full: FullDiagnosis) -> Iterator[str]:
+    """Yield what a person does after a diagnosis, a sentence each, with the commands to type."""
+    diagnosis, source, model = full.diagnosis, full.source, full.model
+    if diagnosis.verdict == "mistake":
+        yield "Put it right on the bench and measure again" + (
+            f"; until then the corrected copy is {full.copy}" if full.copy else ""
+        )
+    if model is not None:
+        yield f"Take the model: bench calibrate {source} --model {model}"
+        yield f"Put it to the proof with new readings: bench confirm NEW --model {model}"
+    if diagnosis.of_copy == "confounded":
+        if full.next_measurement is not None:
+            yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
+        elif diagnosis.gap.reason:
+            yield "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
+    elif diagnosis.of_copy == "unknown":
+        yield "Measure the same again: what comes back is of the bench or the block; below stands where it acts"
+    elif diagnosis.verdict == "agrees":
+        yield f"Nothing; the coefficients stand: bench calibrate {source}"
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
@@ -306,3 +343,19 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
+
+
+def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
+    """Yield what became of an effect in new readings: its verdict, and its values then and now."""
+    name = label(effect.applied)
+    if effect.verdict is None:
+        yield f"{name}: these readings do not show it"
+        return
+    chances = f"{p_in_words(effect.p_same)} of the same values, {p_in_words(effect.p_none)} of none"
+    yield f"{name}: {effect.verdict} ({typeset(chances)})"
+    for was, now in zip(effect.found, effect.now, strict=True):
+        of = f" of {was.channel}" if was.channel else ""
+        u = "" if not was.u else f" ± {two_digits(was.u)}"
+        then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
+        here = _with_u(now.value, now.u or 0.0, now.unit)
+        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"

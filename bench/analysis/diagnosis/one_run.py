@@ -1,0 +1,189 @@
+"""What one of several runs has alone: looked for in each, beside what was found in all of them together."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.diagnosis.candidates import Candidates, Column, make_candidates
+from bench.analysis.diagnosis.evidence import Data, Whitened
+from bench.analysis.diagnosis.joint import make_system
+from bench.analysis.diagnosis.linear import LinearSystem, make_linear
+from bench.analysis.diagnosis.looked import Looked
+from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
+from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.analysis.diagnosis.posterior import noise_size, posterior
+from bench.analysis.diagnosis.repeats import noise_of_repeats
+from bench.analysis.diagnosis.runs import candidates_of
+from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
+from bench.base.arrays import Floats, Mask
+from bench.base.progress import tracked
+from bench.model import ForwardModel
+from bench.readings.table import Readings
+
+TOGETHER: Final = 0.004
+"""How often the search over several runs together may find something where nothing is."""
+
+ALONE: Final = 0.002
+"""How often that in each of them may, all runs taken together."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A run by itself: its rows of the whole, with what all runs have in common taken off."""
+
+    rows: Mask
+    linear: LinearSystem
+
+
+COMMON: Final = 5
+"""What more than one run in so many shows by itself is not theirs alone."""
+
+UNLIKELY: Final = 5.0
+"""What a run has alone stays beside what all have when its ln odds are so much above none."""
+
+
+@dataclass(frozen=True)
+class _EachRun:
+    """How each run is searched by itself: limits of the stand, the noise of a reading, thresholds."""
+
+    stand_u: Mapping[str, float]
+    setting_rad: float
+    sigma: float
+    cache: ThresholdCache
+    absent: Collection[str]
+
+
+def look_at_runs(
+    readings: Readings,
+    model: ForwardModel,
+    stand: Mapping[str, float],
+    setting_rad: float,
+    cache: ThresholdCache,
+    resolution: float,
+    absent: Collection[str] = (),
+) -> tuple[Looked, Naming]:
+    """Prepare readings of several runs and find what is missing; arguments and errors as of `look` for one."""
+    linear = make_system(readings, model, stand)
+    repeats = noise_of_repeats(linear, resolution)
+    whitened = Whitened.of(
+        make_noise_grid(linear, repeats.sigma, setting_rad), candidates_of(linear, repeats.sigma, absent)
+    )
+    limit = cache.threshold(linear, whitened, setting_rad).at(TOGETHER)
+    each = _EachRun(stand, setting_rad, repeats.sigma, cache, absent)
+    whitened, naming = _name_in_all_and_each(linear, whitened, limit, each)
+    data = whitened.reduce(linear.response[:, None])
+    bend = np.zeros(len(linear))
+    return Looked(linear, repeats, whitened.candidates, whitened, data, limit, bend), naming
+
+
+def _name_in_all_and_each(
+    linear: LinearSystem, whitened: Whitened, limit: Threshold, each: _EachRun
+) -> tuple[Whitened, Naming]:
+    """Find what all runs have and what one has alone; return it with the candidates that it is among.
+
+    What a few have alone is looked for first, or it would pass for something that all have; then what all have
+    beside it; then again what one has beside that.
+    """
+    response = linear.response[:, None]
+    data = whitened.reduce(response)
+    grown, alone = _look_in_each(linear, whitened, data, Naming((), 0.0), each)
+    runs = len(np.unique(linear.readings.run))
+    if alone and len({one.variant.mounts for one in alone}) <= max(1, runs // COMMON):
+        whitened = Whitened.of(whitened.grid, grown)
+        data = whitened.reduce(response)
+    else:
+        alone = ()
+    naming = name(whitened, data, limit, begun=alone)
+    grown, more = _look_in_each(linear, whitened, data, naming, each)
+    if not alone and not more:
+        return whitened, naming
+    whitened = Whitened.of(whitened.grid, grown) if more else whitened
+    data = whitened.reduce(response)
+    begun = [*alone, *more]
+    for _ in range(len(begun)):
+        naming = name(whitened, data, limit, begun=begun)
+        kept = [one for one in begun if _stays(whitened, data, naming, one)]
+        if len(kept) == len(begun):
+            break
+        begun = kept
+    else:
+        naming = name(whitened, data, limit, begun=begun)
+    return whitened, naming
+
+
+def _stays(whitened: Whitened, data: Data, naming: Naming, one: Found) -> bool:
+    """Whether what a run has alone is still there beside all that was found, or gave its place to another form."""
+    if one.variant not in [found.variant for found in naming.found]:
+        return True
+    others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
+    scores = Scored.beside(whitened, data, others).scores
+    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > UNLIKELY
+
+
+def _look_in_each(
+    linear: LinearSystem, whole: Whitened, data: Data, naming: Naming, each: _EachRun
+) -> tuple[Candidates, tuple[Found, ...]]:
+    """Look in each run for what it has alone; return the candidates with its columns added, and what was found.
+
+    One threshold, that of the first run, serves for all, at a part of the probability for each. Coefficients are
+    free in every run: what one has of another zero or scale factor is no find here.
+    """
+    candidates, sigma = whole.candidates, each.sigma
+    columns = candidates.columns[:, list(naming.columns)]
+    common = np.zeros(0)
+    if naming.found:
+        common = posterior(linear, columns, noise_size(whole, data, naming.columns)).amplitudes
+    limit: Threshold | None = None
+    found: list[Found] = []
+    runs = list(_runs(linear, columns @ common, each.stand_u))
+    for run in tracked(runs, "runs, each by itself"):
+        own = make_candidates(run.linear, sigma, absent=each.absent)
+        whitened = Whitened.of(make_noise_grid(run.linear, sigma, each.setting_rad), own)
+        if limit is None:
+            limit = each.cache.threshold(run.linear, whitened, each.setting_rad).at(ALONE / len(runs))
+        for one in name(whitened, whitened.reduce(run.linear.response[:, None]), limit).found:
+            candidates, embedded = _embedded(candidates, own, one, run)
+            found.append(embedded)
+    return candidates, tuple(found)
+
+
+def _runs(linear: LinearSystem, in_all: Floats, stand_u: Mapping[str, float]) -> Iterator[_Run]:
+    readings = linear.readings
+    of_row = readings.run[linear.rows.reading]
+    for number in np.unique(readings.run):
+        table = replace(readings.select(readings.run == number), block=None)
+        rows: Mask = of_row == number
+        alone = make_linear(table, linear.model, stand_u)
+        yield _Run(rows, replace(alone, response=alone.response - in_all[rows]))
+
+
+def _embedded(candidates: Candidates, own: Candidates, one: Found, run: _Run) -> tuple[Candidates, Found]:
+    """Return the candidates with the columns of what a run has alone, zero in all others, and the find in them."""
+    labels = _labels(run.linear.readings)
+    chosen = list(one.variant.columns)
+    first = candidates.columns.shape[1]
+    columns = np.zeros((len(candidates.columns), len(chosen)))
+    columns[run.rows] = own.columns[:, chosen]
+    kinds = tuple(
+        Column(kind.parameter, kind.channel, kind.mounts or labels) for kind in (own.kinds[i] for i in chosen)
+    )
+    variant = replace(
+        one.variant,
+        columns=tuple(range(first, first + len(chosen))),
+        mounts=one.variant.mounts or labels,
+    )
+    grown = Candidates(
+        np.column_stack([candidates.columns, columns]),
+        (*candidates.kinds, *kinds),
+        np.concatenate([candidates.scale, own.scale[chosen]]),
+        (*candidates.variants, variant),
+    )
+    return grown, replace(one, variant=variant)
+
+
+def _labels(run: Readings) -> tuple[str, ...]:
+    return tuple(str(mount) for mount in run.conditions().mounts)

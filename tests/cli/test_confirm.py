@@ -1,0 +1,65 @@
+"""`bench confirm` as its user types it, and from Python."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bench as program
+from bench.readings.csv import write_csv
+from tests.support.diagnosis_bench import paper_run
+from tests.support.schemas import keeps_to
+
+MODEL = """\
+model_file: 1
+name: found
+effects:
+  - {name: quadratic_nonlinearity, channels: [y], parameters: {K2: {y: {value: 100 ug/g^2, u: 5 ug/g^2}}}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def found(monkeypatch, tmp_path_factory, empty_folder):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "confirm-cache"))
+    Path("found.yaml").write_text(MODEL, encoding="utf-8")
+
+
+def measured(name, seed, k2):
+    write_csv(paper_run(np.random.default_rng(seed), K2=(0.0, k2, 0.0)), Path(name))
+    return name
+
+
+@pytest.mark.slow
+def test_what_is_there_again_is_confirmed(bench):
+    status, out, err = bench(
+        "confirm", measured("new.csv", 71, 100e-6), "--model", "found.yaml", "--json", "c.json"
+    )
+    result = json.loads(Path("c.json").read_text(encoding="utf-8"))
+    assert (status, err, result["verdict"]) == (0, "", "confirmed")
+    keeps_to("confirm", result)
+    assert f"new.csv: CONFIRMED: gap closed {min(100 * result['closed'], 100):.0f} %, from " in out
+    assert "quadratic_nonlinearity[y]: confirmed" in out
+    assert program.confirm("new.csv", model="found.yaml").to_dict() == result
+    # what is gone is not accepted
+    status, out, _ = bench("confirm", measured("clean.csv", 72, 0.0), "--model", "found.yaml")
+    assert status == 1
+    assert "clean.csv: GONE: " in out
+
+
+def test_what_confirms_nothing_is_refused(bench):
+    from bench.api.source import Request, data_sha256, load_sources
+
+    name = measured("first.csv", 73, 100e-6)
+    (source,) = load_sources(Request([name], Path("runs")))
+    Path("own.yaml").write_text(MODEL + f"data_sha256: {data_sha256(source.as_read)}\n", encoding="utf-8")
+    status, _, err = bench("confirm", name, "--model", "own.yaml")
+    assert status == 2
+    assert (
+        "own.yaml: it was found in these very readings (first.csv), which cannot confirm it; take new ones"
+        in err
+    )
+    Path("empty.yaml").write_text("model_file: 1\nname: nothing\n", encoding="utf-8")
+    status, _, err = bench("confirm", name, "--model", "empty.yaml")
+    assert status == 2
+    assert "it has no effects" in err
