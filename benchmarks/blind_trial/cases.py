@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -24,6 +25,7 @@ from benchmarks.blind_trial.effects import (
 from benchmarks.blind_trial.geometry import Floats
 from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
 from benchmarks.blind_trial.noises import COARSE, draw
+from benchmarks.blind_trial.own_effects import OWN
 from benchmarks.blind_trial.signals import (
     SETTING_SIGMA,
     STAND_SIGMA,
@@ -79,7 +81,8 @@ class Row:
 class Case:
     """What the diagnosis is given: a table of readings, and the noise that the bench file states (1 σ).
 
-    `reading_noise_v` in V, `setting_noise` in rad. The name says nothing of what is hidden.
+    `reading_noise_v` in V, `setting_noise` in rad; with `own` it is given the formulas of the user's own as well.
+    The name says nothing of what is hidden.
     """
 
     id: str
@@ -87,6 +90,7 @@ class Case:
     readings: Readings
     reading_noise_v: float
     setting_noise: float
+    own: bool = False
 
 
 @dataclass(frozen=True)
@@ -153,7 +157,7 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
         tables = [readings, *(_measure(rng, row, _run(rng, row), truths, None) for _ in range(1, row.runs))]
         tables = [_of_another_block(rng, table) for table in tables] if row.blocks else tables
         readings = together([JoinedPart(table) for table in tables])
-    case = Case(digest.hex()[:12], row.design, readings, row.noise_v, SETTING_SIGMA)
+    case = Case(digest.hex()[:12], row.design, readings, row.noise_v, SETTING_SIGMA, row.kind == "own")
     answer = Answer(case.id, row, index, seed, tuple(_hidden(t, run, row) for t in truths))
     if mistake is not None:
         answer = replace(answer, place=mistake.place, accepted=mistake.names)
@@ -220,6 +224,8 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
         case "single":
             names = [n for n in CATALOGUE if not (row.blocks and n in BLOCK)]
             return [_next(rng, row, run, seen, names, index)]
+        case "own":
+            return [_next(rng, row, run, seen, list(OWN), index, OWN)]
         case "pair":
             first = _next(rng, row, run, seen, list(CATALOGUE), index)
             others = [name for name in CATALOGUE if CLASS_OF[name] != CLASS_OF[first.name]]
@@ -249,11 +255,17 @@ def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _next(
-    rng: np.random.Generator, row: Row, run: Run, seen: Visibility, names: list[str], start: int
+    rng: np.random.Generator,
+    row: Row,
+    run: Run,
+    seen: Visibility,
+    names: list[str],
+    start: int,
+    draws: Mapping[str, Draw] = CATALOGUE,
 ) -> Truth:
     """Draw the effect whose turn it is, or the next one that this design can show at a plausible size."""
     for k in range(len(names)):
-        draw = CATALOGUE[names[(start + k) % len(names)]]
+        draw = draws[names[(start + k) % len(names)]]
         truth = _attempt(rng, row, run, seen, draw, MOST_TIMES_PLAUSIBLE)
         if truth is not None:
             return truth
