@@ -21,10 +21,13 @@ def wander_of(case):
 
 
 def test_a_walk_is_seen_as_large_as_it_is_and_seldom_taken_for_hardly_any():
-    """A walk that ends 200 uV off (1 sigma) is 82 uV rms about its mean; few runs, whose own is small, take it for less than a third."""
+    """A walk that ends 200 uV off (1 sigma) is 82 uV rms about its mean; in few runs its own is less than a third.
+
+    Mean squares of 72 walks scatter by 0.13, their estimates more.
+    """
     true = WALK_V / np.sqrt(6.0)
     found = wander_of("walk")
-    assert np.mean(found**2) > true**2
+    assert np.mean(found**2) > 0.6 * true**2
     assert np.mean(found > true / 3) > 0.9
     assert np.sqrt(np.mean(found**2)) < 2 * true
 
