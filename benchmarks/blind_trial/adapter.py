@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -15,7 +16,7 @@ from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.show import Simulation, show
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_bench
-from bench.model import ForwardModel
+from bench.model import ForwardModel, Installation
 from benchmarks.blind_trial.cases import Case
 
 LOCAL_GRAVITY = 9.81
@@ -59,11 +60,15 @@ def diagnose_case(case: Case) -> dict[str, Any]:
     """
     bench, model, stand_u, thresholds = _bench()
     thresholds.key = (case.design, case.reading_noise_v)
+    if case.stated_psi_deg is not None:
+        stated = Installation.from_axes("V", ("x", "y", "z"), np.radians(case.stated_psi_deg), "z")
+        model = replace(model, installations={**model.installations, "V": stated})
+        thresholds.key = (f"{case.design}, another psi", case.reading_noise_v)
     nominal = np.array(bench.unit_under_test.scale_factors.values)
     found = diagnose(case.readings, model, stand_u, nominal, thresholds)
     points = None
     if found.verdict == "named":
-        shown = show(found.mistakes.corrected, model, found.applied, stand_u, LOCAL_GRAVITY)
+        shown = show(found.mistakes.corrected, found.linear.model, found.applied, stand_u, LOCAL_GRAVITY)
         points = {"before": _points(shown.before), "after": _points(shown.after)}
     nothing = found.candidates.columns[:, :0]
     without = posterior(found.linear, nothing, found.noise)

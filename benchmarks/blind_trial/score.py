@@ -13,6 +13,7 @@ from scipy.stats import binomtest, chi2
 
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
 from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
+from benchmarks.blind_trial.known import KNOWN, judge_known
 from benchmarks.blind_trial.signals import U0, K
 from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
@@ -148,6 +149,8 @@ def _judge_kind(
             f"flagged unknown{apart}": verdict == "unknown",
             f"given a single name{apart}": verdict == "named",
         }
+    if answer.kind in KNOWN:
+        return judge_known(answer.kind, answer.names, diagnosis)
     if answer.kind in SLIPS:
         return _judge_slip(answer, diagnosis)
     if kind == "pair":
