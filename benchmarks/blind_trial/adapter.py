@@ -14,6 +14,7 @@ from bench.analysis.diagnosis.evidence import Whitened
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.show import Simulation, show
+from bench.analysis.diagnosis.threshold import channel_steps
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel, Installation
@@ -26,16 +27,16 @@ STATED_BENCH = "paper-stand"
 
 
 class _ByDesign(ThresholdCache):
-    """One threshold for all cases of a design and noise: their weather differs, which hardly matters to it."""
+    """One threshold for all cases of a design and kind of noise: their weather hardly matters to it."""
 
     def __init__(self) -> None:
         super().__init__(None)
-        self.known: dict[tuple[str, float, int], Threshold] = {}
+        self.known: dict[tuple[object, ...], Threshold] = {}
         self.key = ("", 0.0)
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
-        key = (*self.key, len(linear))
+        key = (*self.key, len(linear), *channel_steps(linear))
         if key not in self.known:
             self.known[key] = super().threshold(linear, whitened, setting_rad)
         return self.known[key]

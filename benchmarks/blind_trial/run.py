@@ -3,6 +3,7 @@
     python -m benchmarks.blind_trial --short
     python -m benchmarks.blind_trial --seed 7 --workers 2 --json score.json --ledger ledger.jsonl
     python -m benchmarks.blind_trial --seed 7 --page
+    python -m benchmarks.blind_trial --seed 7 --page --share 0.1      # every row, a tenth of its cases
 
 Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed; only then are
 the answers opened, checked against their seals, and the score printed as markdown, each share with the
@@ -109,6 +110,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rows", type=int, metavar="N", help="so many cases in each row")
+    parser.add_argument("--share", type=float, default=1.0, metavar="S", help="this part of each row's cases")
     parser.add_argument("--only", metavar="KIND", help="null, single, pair, outside, hidden, mistake, ...")
     parser.add_argument("--ties", choices=["signature", "table"], default="signature")
     parser.add_argument("--json", metavar="FILE", help="score and outcomes; - for standard output")
@@ -117,6 +119,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--ledger", type=Path, metavar="FILE", help="append the seals of the cases here")
     given = parser.parse_args(argv)
+    if not 0.0 < given.share <= 1.0:
+        parser.error("--share is a part of the cases, above 0 and at most 1")
     if given.page and (given.short or given.rows or given.only):
         parser.error("--page is for the whole trial: leave --short, --rows and --only out")
     return given
@@ -126,13 +130,25 @@ def _rows(given: argparse.Namespace) -> list[Row]:
     rows = [row for row in (SHORT if given.short else FULL) if given.only in (None, row.kind.split(":")[0])]
     if not rows:
         raise SystemExit(f"There is no kind of case called {given.only}.")
-    return [replace(row, count=given.rows) for row in rows] if given.rows else rows
+    return [replace(row, count=given.rows) for row in rows] if given.rows else of_share(rows, given.share)
+
+
+def of_share(rows: Sequence[Row], share: float) -> list[Row]:
+    """Return the rows with a part of their cases, one at least."""
+    return [replace(row, count=max(round(share * row.count), 1)) for row in rows]
 
 
 def _made(given: argparse.Namespace, seconds: int) -> dict[str, object]:
     """Return what made a result, so that it can be made again. The page is for the whole trial alone."""
-    command = f'make blind-trial TRIAL="--page --seed {given.seed}"'
-    return {"command": command, "seed": given.seed, "seconds": seconds, "on": f" on {given.workers} cores"}
+    share = "" if given.share == 1.0 else f" --share {given.share:g}"
+    command = f'make blind-trial TRIAL="--page --seed {given.seed}{share}"'
+    return {
+        "command": command,
+        "seed": given.seed,
+        "share": given.share,
+        "seconds": seconds,
+        "on": f" on {given.workers} cores",
+    }
 
 
 def _open_answers(outcomes: Sequence[Outcome], ties: str) -> list[tuple[Row, Marks]]:

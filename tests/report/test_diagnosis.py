@@ -13,7 +13,13 @@ from bench.api.source import Request, load_sources
 from bench.base.numbers import fixed
 from bench.cli.diagnose import examined
 from bench.readings.csv import write_csv
-from bench.report.diagnosis.words import effect_title, parameters_in_words, smallest_found, unit_in_print
+from bench.report.diagnosis.words import (
+    effect_title,
+    micro_g,
+    parameters_in_words,
+    smallest_found,
+    unit_in_print,
+)
 from tests.support.diagnosis_bench import paper_run
 
 pytestmark = pytest.mark.slow
@@ -53,9 +59,10 @@ def text_of(page):
 def test_the_story_stands_in_order(named):
     _, page = named
     order = [
-        "Basic model and noise", "Where they disagree", "What was found", "How sure:", "What else it could be:",
-        "How far the gap closes", "Simulated bench beside the readings", "Consequence", "What to measure next",
-        "What these readings could never show", "Registered beforehand", "Provenance",
+        "What to do", "Measured and simulated", "Basic model and noise", "Where they disagree", "What was found",
+        "How sure:", "What else it could be:", "How far the gap closes", "Simulated bench beside the readings",
+        "Consequence", "What to measure next", "What these readings could never show", "Registered beforehand",
+        "Provenance",
     ]  # fmt: skip
     places = [page.index(heading) for heading in order]
     assert places == sorted(places)
@@ -74,10 +81,28 @@ def test_the_figures_are_those_of_the_result(named):
         assert fold.label in text
 
 
+def test_the_first_screen_has_verdict_gap_and_what_to_do(named):
+    full, page = named
+    first = text_of(page[: page.index("Measured and simulated")])
+    gap = full.diagnosis.gap
+    assert f"Gap closed {min(100 * gap.closed, 100):.0f} %, from {micro_g(gap.before_rms_g)} to " in first
+    assert f"bench calibrate {full.source} --model {full.model}" in first
+    assert f"bench confirm NEW --model {full.model}" in first
+
+
+def test_measured_and_simulated_signals_stand_in_one_figure(named):
+    _, page = named
+    figure = page[page.index("diagnosis-overlay-0") :].partition("</svg>")[0]
+    # the readings of three channels, in each of three passes, with the marks of the passes
+    assert len(set(re.findall(r'id="(diagnosis-overlay-0-overlay-0-[xyz]-\d+)"', figure))) == 9
+
+
 def test_the_page_needs_nothing_but_itself(named):
     _, page = named
     assert re.findall(r'(?:src|href)="(?!#)[^"]*"', page) == []
-    assert page.count("<svg") == page.count("</svg>") == 6  # ranking, gap, two mountings, time, modulus
+    assert (
+        page.count("<svg") == page.count("</svg>") == 8
+    )  # two overlays, ranking, gap, two mountings, time, modulus
     identifiers = re.findall(r'\bid="([^"]+)"', page)
     assert len(identifiers) == len(set(identifiers))
 

@@ -214,9 +214,16 @@ def _meters(bench: BenchFile) -> tuple[int, int, int]:
 def _acting(
     calibration: Calibration, bench: BenchFile, model: ForwardModel, day: date | None
 ) -> list[ErrorSource]:
-    """The errors that no reading shows; linearity is none of them where the readings showed what repeats share."""
-    shown = any(component.what == "setting" for component in calibration.shared)
-    return [e for e in hidden_sources(bench, model, day) if not (shown and e.kind == "voltmeter_linearity")]
+    """The errors that no reading shows.
+
+    Linearity is none of them where the readings showed what repeats share, at least as large: it is in that.
+    """
+    shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
+    return [
+        error
+        for error in hidden_sources(bench, model, day)
+        if error.kind != "voltmeter_linearity" or error.u > shown
+    ]
 
 
 def _source(error: ErrorSource, taken: Taken, gain: Floats) -> SourceOfError:

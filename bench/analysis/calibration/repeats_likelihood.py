@@ -39,7 +39,7 @@ MOST_CHANGE: Final = 4.0
 
 def sizes_of(
     scatter: Floats,
-    freedom: Ints,
+    freedom: Ints | Floats,
     slope: Floats,
     floor: float | Floats,
     by: Floats = OWN,
@@ -93,7 +93,7 @@ class Sizes:
 
 
 def believed_sizes(
-    scatter: Floats, freedom: Ints, slope: Floats, floor: float | Floats, *, one_size: bool = False
+    scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: float | Floats, *, one_size: bool = False
 ) -> Sizes:
     """Return the sizes of many runs, of each channel its own where they are not of one size.
 
@@ -115,7 +115,7 @@ def believed_sizes(
     return Sizes(variances, dof, p)
 
 
-def equality(scatter: Floats, freedom: Ints, slope: Floats, common: Floats) -> Floats:
+def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
     """Return the probability of such a difference between the channels where all are of one size, shape (runs,).
 
     Rao's score test at the sizes `common` (runs, 4), the greatest likelihood with one size; the setting takes no
@@ -132,7 +132,7 @@ def equality(scatter: Floats, freedom: Ints, slope: Floats, common: Floats) -> F
     return np.asarray(special.chdtrc(2, np.maximum(misfit, 0.0)))
 
 
-def freedom_of(freedom: Ints, slope: Floats, variances: Floats) -> Floats:
+def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats) -> Floats:
     """Return the degrees of freedom of the variances of x, y, z (runs, 3) for `variances` (runs, 4).
 
     2 v^2/var(v) with var(v) from the information on all four: what the setting error takes is left out.

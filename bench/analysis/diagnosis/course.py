@@ -31,10 +31,12 @@ from bench.analysis.diagnosis.looked import look
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
 from bench.analysis.diagnosis.noise_grid import RATIOS
+from bench.analysis.diagnosis.noise_kinds import noise_kinds
 from bench.analysis.diagnosis.one_run import look_at_runs
 from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
+from bench.analysis.diagnosis.rounding import digit_of
 from bench.analysis.diagnosis.shapes import beside, with_other_shapes
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
@@ -70,14 +72,9 @@ def diagnose(
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     absent = there.absent(mistakes.corrected)
     find = look_at_runs if mistakes.corrected.run.any() else look
+    digit = digit_of(readings)
     looked, naming = find(
-        mistakes.corrected,
-        model,
-        stand,
-        setting_rad,
-        cache or ThresholdCache(None),
-        readings.resolution,
-        absent,
+        mistakes.corrected, model, stand, setting_rad, cache or ThresholdCache(None), digit, absent
     )
     linear, candidates, whitened, data = looked.linear, looked.candidates, looked.whitened, looked.data
     repeats, grid, limit = looked.repeats, looked.whitened.grid, looked.limit
@@ -96,7 +93,8 @@ def diagnose(
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
-    findings = noise_findings(noise, readings, stand_u, linear.typical_slope)
+    described = tuple(noise_kinds(linear, noise, looked.weighed, digit))
+    findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit)
     of_copy = _verdict(False, effects, findings, gap)
     form = None
     if of_copy == "unknown":
@@ -124,9 +122,11 @@ def diagnose(
         noise=noise,
         p_left=p_left,
         findings=findings,
+        noise_kinds=described,
         notes=(
             *readings.notes,
-            *(f.words for f in findings),
+            *(finding.words for finding in findings),
+            *(kind.words for kind in described),
             *assumed(linear),
             *common_volts(naming, sized, linear),
         ),
@@ -169,6 +169,8 @@ def _p_left(whitened: Whitened, data: Data, naming: Naming) -> float:
     if taken <= 0 or freedom <= 0:
         return 1.0
     lack = max(of_model[ratio] - of_repeats[ratio], 0.0) / taken
+    if grid.known:  # readings that are rounded alike repeat themselves: their scatter tells nothing
+        return float(special.chdtrc(taken, lack * taken))
     return float(special.fdtrc(taken, freedom, lack / (of_repeats[ratio] / freedom)))
 
 

@@ -8,7 +8,7 @@ enough and whose modulus alone tells, |a| = 1 g; three for each reading of a sho
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -49,7 +49,8 @@ class LinearSystem:
     in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
     `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is how
     the block stood at the verification points, None where they do not tell it; where it contradicts the bench file
-    the installation V of `model` is as measured.
+    the installation V of `model` is as measured. `by_channel` (3,) is how large the noise of a channel is beside
+    the others', 1 on the average of squares.
     """
 
     readings: Readings
@@ -65,6 +66,7 @@ class LinearSystem:
     view: _View
     problem: Problem
     orientation: Orientation | None
+    by_channel: Floats = field(default_factory=lambda: np.ones(3), kw_only=True)
 
     def __len__(self) -> int:
         return len(self.response)
@@ -81,8 +83,20 @@ class LinearSystem:
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square over the settings of the length of du/dphi."""
-        return float(np.sqrt(np.sum(self.slope**2) / max(self.settings, 1)))
+        """Root mean square over the settings of the length of du/dphi, each channel in units of its noise."""
+        return float(np.sqrt(np.sum((self.slope / self.relative) ** 2) / max(self.settings, 1)))
+
+    @cached_property
+    def relative(self) -> Floats:
+        """How large the noise of a row is, 1 for a channel of average noise, shape (N,)."""
+        if np.all(self.by_channel == 1.0):
+            return np.ones(len(self))
+        size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
+        modulus = self.rows.channel == MODULUS
+        if modulus.any():
+            place = np.searchsorted(self.view.moduli, self.rows.reading[modulus])
+            size[modulus] = np.linalg.norm(self.view.by_signal[place] * self.by_channel, axis=1)
+        return size
 
     @property
     def g_per_signal(self) -> Floats:

@@ -13,16 +13,20 @@ from typing import Final
 
 import numpy as np
 
+from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis.applied import applied_of
 from bench.analysis.diagnosis.candidates import Candidates, make_candidates
+from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.naming import MOST_EFFECTS, Naming, name
-from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.analysis.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.analysis.diagnosis.posterior import fit_found, noise_size
 from bench.analysis.diagnosis.repeats import Repeats, noise_of_repeats
+from bench.analysis.diagnosis.rounding import is_rounded, with_rounding
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
+from bench.analysis.diagnosis.weighing import WeighedDown, weigh_down
 from bench.base.arrays import Floats
 from bench.model import Block, ForwardModel
 from bench.readings.table import Readings
@@ -31,13 +35,16 @@ BENT: Final = 0.3
 """What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
 STEPS: Final = 6
 """Steps after which what is not linear yet stays as it is: it is left over, and told."""
+SAME_SIZE: Final = 0.1
+"""Sizes of the channels' noise within such a part of each other are the same."""
 
 
 @dataclass(frozen=True)
 class Looked:
     """Readings made linear, the candidates in units of the noise, what is needed of the data, the threshold.
 
-    `bend` (N,) is what was taken off the response because the readings are not linear in what was found.
+    `bend` (N,) is what was taken off the response because the readings are not linear in what was found,
+    `weighed` what was because the noise has heavy tails.
     """
 
     linear: LinearSystem
@@ -47,6 +54,7 @@ class Looked:
     data: Data
     limit: Threshold
     bend: Floats
+    weighed: WeighedDown | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,12 @@ class _Task:
     resolution: float
     cache: ThresholdCache
     absent: Collection[str]
+
+    def linear(self, readings: Readings) -> LinearSystem:
+        """Make readings linear; with the error of rounding that repeats, where the last digit is coarse."""
+        linear = make_linear(readings, self.model, self.stand)
+        repeats = noise_of_repeats(linear, self.resolution)
+        return with_rounding(linear, self.resolution, repeats.sigma)
 
 
 def look(
@@ -71,12 +85,34 @@ def look(
 ) -> tuple[Looked, Naming]:
     """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
 
+    The channels have noise of one size at first. What is left beside all that was found says whether they have:
+    never what is left beside nothing, which a slip makes large in one channel. If not, all is looked for again.
+    Nor has the noise heavy tails at first; where it has, readings far out are weighed down.
+
     `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
     `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
     Raises `CalibrationError` where there is too little to fit.
     """
     task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
-    looked = _prepared(task, make_linear(readings, model, stand))
+    looked, naming = _straight(task, _prepared(task, task.linear(readings)))
+    if looked.whitened.grid.known:
+        return looked, naming
+    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    weighed = weigh_down(looked.linear, looked.candidates, naming, noise)
+    if weighed is not None:
+        less = replace(looked.linear, response=looked.linear.response + weighed.pull)
+        data = looked.whitened.reduce(less.response[:, None])
+        looked = replace(looked, linear=less, data=data, weighed=weighed)
+        looked, naming = _straight(task, looked)
+    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming)
+    if np.max(np.abs(np.log(sizes / looked.linear.by_channel))) < SAME_SIZE:
+        return looked, naming
+    again = _prepared(task, replace(looked.linear, by_channel=sizes))
+    return _straight(task, replace(again, bend=looked.bend, weighed=looked.weighed))
+
+
+def _straight(task: _Task, looked: Looked) -> tuple[Looked, Naming]:
+    """Find what is missing, about a point near enough."""
     most = 1
     naming = name(looked.whitened, looked.data, looked.limit, most)
     for _ in range(STEPS):
@@ -92,12 +128,17 @@ def look(
 
 def _prepared(task: _Task, linear: LinearSystem) -> Looked:
     repeats = noise_of_repeats(linear, task.resolution)
-    grid = make_noise_grid(linear, repeats.sigma, task.setting_rad)
+    grid = _grid(task, linear, repeats)
     candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
     whitened = Whitened.of(grid, candidates)
     limit = task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
     return Looked(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
+
+
+def _grid(task: _Task, linear: LinearSystem, repeats: Repeats) -> NoiseGrid:
+    grid = make_noise_grid(linear, repeats.sigma, task.setting_rad)
+    return replace(grid, known=is_rounded(task.resolution, repeats.sigma))
 
 
 def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
@@ -118,12 +159,15 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
     if float(np.max(np.abs(bend))) < BENT * noise.reading:
         return None
     readings = task.readings
-    again = make_linear(replace(readings, signal=readings.signal - change), task.model, task.stand)
+    try:
+        again = task.linear(replace(readings, signal=readings.signal - change))
+    except CalibrationError:  # what was found is too large to be true
+        return None
     told = make_candidates(again, looked.repeats.sigma, absent=task.absent)
     if told.kinds != candidates.kinds:
         return None
     back = told.columns[:, columns] @ sizes
-    about = replace(again, readings=readings, response=again.response + back)
-    whitened = Whitened.of(make_noise_grid(about, looked.repeats.sigma, task.setting_rad), told)
+    about = replace(again, readings=readings, response=again.response + back, by_channel=linear.by_channel)
+    whitened = Whitened.of(_grid(task, about, looked.repeats), told)
     data = whitened.reduce(about.response[:, None])
-    return Looked(about, looked.repeats, told, whitened, data, looked.limit, moved - back)
+    return Looked(about, looked.repeats, told, whitened, data, looked.limit, moved - back, looked.weighed)

@@ -64,20 +64,25 @@ class _Stated(NamedTuple):
 
 
 def noise_findings(
-    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], typical_slope: float
+    noise: NoiseSize,
+    readings: Readings,
+    stand_u: Mapping[str, float],
+    typical_slope: float,
+    digit: float = 0.0,
 ) -> tuple[NoiseFinding, ...]:
     """Return where the noise found is larger than stated, significantly and by more than a factor of two.
 
     `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file, `typical_slope` is
-    how a setting error shows in all three signals, unit of the signal per rad.
+    how a setting error shows in all three signals, unit of the signal per rad, `digit` the step of the signals'
+    last digit: rounding to it is expected.
     """
-    return tuple(_findings(noise, readings, stand_u, typical_slope))
+    return tuple(_findings(noise, readings, stand_u, typical_slope, digit))
 
 
 def _findings(
-    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], typical_slope: float
+    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], typical_slope: float, digit: float
 ) -> Iterator[NoiseFinding]:
-    stated = _stated(readings, stand_u)
+    stated = _stated(readings, stand_u, digit / np.sqrt(12.0))
     if stated is not None:
         factor = noise.reading / stated.size
         p = float(special.fdtrc(noise.freedom, min(stated.freedom, 1e9), factor**2))
@@ -93,16 +98,20 @@ def _findings(
             yield NoiseFinding("setting", found, limit, "arcsec", found / limit, p, BENCH_FILE)
 
 
-def _stated(readings: Readings, stand_u: Mapping[str, float]) -> _Stated | None:
-    """Return the noise of a reading: by its samples where the file has them, else as the bench file states it.
+def _stated(readings: Readings, stand_u: Mapping[str, float], rounding: float) -> _Stated | None:
+    """Return the noise of a reading as it is stated: the larger of what its samples show and the bench file says.
 
-    Samples are rounded to the last digit, and so is their mean.
+    Either is without that of `rounding`. An error that is fresh in each reading and alike in all its samples, as
+    that of the shipped stand, only the bench file knows: its word counts where it is larger.
     """
+    stated = []
+    size = stand_u.get("voltmeter_error", 0.0)
+    if size > 0.0 and readings.unit == "V":
+        stated.append(_Stated(float(np.hypot(size, rounding)), np.inf, BENCH_FILE))
     count = readings.samples[:, None] * np.isfinite(readings.signal_sd) * (readings.signal_sd > 0.0)
     sampled = count > 1
     if np.any(sampled & readings.is_oriented[:, None]):
         of_mean = readings.signal_sd[sampled] / np.sqrt(count[sampled])
-        size = float(np.hypot(rms(of_mean), readings.resolution / np.sqrt(12.0)))
-        return _Stated(size, float(np.sum(count[sampled] - 1)), OWN_SCATTER)
-    size = stand_u.get("voltmeter_error", 0.0)
-    return _Stated(size, np.inf, BENCH_FILE) if size > 0.0 and readings.unit == "V" else None
+        shown = float(np.hypot(rms(of_mean), rounding))
+        stated.append(_Stated(shown, float(np.sum(count[sampled] - 1)), OWN_SCATTER))
+    return max(stated, key=lambda each: each.size, default=None)

@@ -1,8 +1,9 @@
 """The linear system in units of its noise, for each of a grid of ratios of setting error to reading noise.
 
-The covariance of the rows is sigma^2 (I + gamma^2 d d^T + Z Z^T): sigma the noise of a reading, gamma sigma
-what a setting error of typical slope adds along d = du/dphi in units of it, Z the stand angles (and the
-model's own effects) within their limits. sigma is left free; gamma runs over the grid.
+The covariance of the rows is sigma^2 (D + gamma^2 d d^T + Z Z^T): sigma the noise of a reading, D (diagonal) the
+squares of how large that of each row is beside it, gamma sigma what a setting error of typical slope adds along
+d = du/dphi in units of it, Z the stand angles (and the model's own effects) within their limits. sigma is left
+free; gamma runs over the grid.
 
 A stand angle reaches no further than its mounting, so the covariance is one of blocks, a mounting each; what
 reaches further (an effect of the model) joins the coefficients, which are fitted, with its prior. Time and
@@ -105,9 +106,8 @@ def make_noise_grid(
     the whole grid the search is quicker: where the noise is known well enough.
     """
     oriented = linear.setting >= 0
-    slope2 = np.bincount(linear.setting[oriented], linear.slope[oriented] ** 2, linear.settings).astype(
-        np.float64
-    )
+    scaled2 = (linear.slope / linear.relative)[oriented] ** 2
+    slope2 = np.bincount(linear.setting[oriented], scaled2, linear.settings).astype(np.float64)
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
     wide = np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear)
@@ -151,7 +151,7 @@ def _white(
         joined = joined[:, np.any(joined, axis=0)]
         own = linear.setting[rows]
         slope = setting * linear.slope[rows]
-        covariance = np.eye(len(rows)) + joined @ joined.T
+        covariance = np.diag(linear.relative[rows] ** 2) + joined @ joined.T
         covariance += np.where(own[:, None] == own, np.outer(slope, slope), 0.0)
         cholesky = np.linalg.cholesky(covariance)
         log_det -= float(np.sum(np.log(np.diag(cholesky))))

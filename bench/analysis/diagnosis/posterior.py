@@ -60,9 +60,11 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
     weight /= weight.sum()
     freedom = grid.freedom - len(known)
     sigma2 = left.square[:, 0] / freedom
+    if grid.known:
+        sigma2 = np.maximum(sigma2, 1.0)
     setting2 = sigma2 * grid.setting_rad_per_noise**2
     return NoiseSize(
-        grid.sigma * float(np.sqrt(weight @ sigma2)), grid.sigma * float(np.sqrt(weight @ setting2)), freedom
+        float(grid.sigma * np.sqrt(weight @ sigma2)), float(grid.sigma * np.sqrt(weight @ setting2)), freedom
     )
 
 
@@ -101,7 +103,9 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:
     """Return R^(-1/2) times columns of the given rows; whole settings must be among them."""
-    slope = linear.slope[rows][:, None]
+    relative = linear.relative[rows][:, None]
+    columns = columns / relative
+    slope = linear.slope[rows][:, None] / relative
     setting = linear.setting[rows]
     factor = (noise.setting_rad / noise.reading) ** 2
     oriented = setting >= 0

@@ -36,7 +36,7 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     left = linear.response[oriented].reshape(-1, 3)
     slope = linear.slope[oriented].reshape(-1, 3)
     design = _saturated(
-        [f"{s}/{i}" for s, i in zip(readings.series[reading], readings.installation[reading], strict=True)],
+        _mounts(linear),
         np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int),
         readings.pass_number[reading],
         readings.angle_rad[reading],
@@ -48,13 +48,31 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
         whole = np.concatenate([linear.fixed, linear.random], axis=1)[oriented]
         rest = (left.ravel() - whole @ np.linalg.lstsq(whole, left.ravel(), rcond=None)[0]).reshape(-1, 3)
         freedom = max(len(left) - 4, 1)
+        free = np.full(len(left), freedom / len(left))
     else:
         rest = left - basis @ (basis.T @ left)
+        free = 1.0 - np.sum(basis**2, axis=1)
     unit = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
-    across = rest - np.sum(rest * unit, axis=1, keepdims=True) * unit
     floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(readings.signal))))
-    sigma = max(float(np.sqrt(np.sum(across**2) / (2 * freedom))), floor)
+    across = rest - np.sum(rest * unit, axis=1, keepdims=True) * unit
+    # of unequal channels what is left across du/dphi is that of the two that turn least with it
+    share = np.sum(linear.by_channel**2 * (1.0 - unit**2) * free[:, None]) / (2 * np.sum(free))
+    sigma = max(float(np.sqrt(np.sum(across**2) / (2 * freedom) / share)), floor)
     return Repeats(sigma, freedom)
+
+
+def cells_of(linear: LinearSystem) -> NDArray[np.int64]:
+    """Number the settings by mounting and angle, to 5 deg: those of a number repeat each other, shape (n,)."""
+    reading = linear.rows.reading[linear.setting >= 0][::3]
+    angle = np.round(np.degrees(linear.readings.angle_rad[reading]) / 5.0).astype(int)
+    keys = list(zip(_mounts(linear), angle.tolist(), strict=True))
+    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    return np.array([number[key] for key in keys], dtype=np.int64)
+
+
+def _mounts(linear: LinearSystem) -> list[str]:
+    readings, reading = linear.readings, linear.rows.reading[linear.setting >= 0][::3]
+    return [f"{s}/{i}" for s, i in zip(readings.series[reading], readings.installation[reading], strict=True)]
 
 
 def _saturated(

@@ -13,10 +13,12 @@ from bench.analysis.diagnosis.known_together import KnownTogether
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding
+from bench.analysis.diagnosis.noise_kinds import NoiseKind
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
 from bench.analysis.diagnosis.registration import Registration
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake, MistakeSearch
+from bench.base.arrays import CHANNELS, Floats
 from bench.model import CATALOGUE, AppliedEffect
 
 Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
@@ -123,7 +125,8 @@ class Diagnosis:
     error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
     plausible sizes, that are found in half of all runs. `linear`, `candidates`, `naming`, `fitted` and `noise`
     are what plots and the report are drawn from; `in_part` what the effects may have of other shapes, which is in
-    the coefficients' u; `findings` where that noise is larger than stated.
+    the coefficients' u; `findings` where that noise is larger than stated, `noise_kinds` in what it is no normal
+    noise of one size.
     """
 
     verdict: Verdict
@@ -146,6 +149,7 @@ class Diagnosis:
     p_left: float
     form: FreeForm | None = None
     findings: tuple[NoiseFinding, ...] = ()
+    noise_kinds: tuple[NoiseKind, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -153,6 +157,11 @@ class Diagnosis:
         """The named effects with their values, and the terms of what has no name, to be added to the model."""
         of_form = self.form.applied if self.form is not None else ()
         return (*(a for e in self.effects for a in e.applied), *of_form)
+
+    @property
+    def noise_by_channel(self) -> Floats:
+        """Noise of a reading of x, y, z, unit of the signal."""
+        return self.noise.reading * self.linear.by_channel
 
     def to_dict(self) -> dict[str, Any]:
         """Return the promised result; who proposes a measurement or writes a model file puts them in."""
@@ -177,6 +186,8 @@ class Diagnosis:
                 "reading": self.noise.reading,
                 "setting_arcsec": self.noise.setting_arcsec,
                 "dof": self.noise.freedom,
+                "channels": dict(zip(CHANNELS, self.noise_by_channel.tolist(), strict=True)),
+                "kinds": [asdict(kind) for kind in self.noise_kinds],
                 "findings": [finding.to_dict() for finding in self.findings],
             },
             "p_left": self.p_left,

@@ -28,6 +28,12 @@ TAIL: Final = 0.05
 """Upper part of the simulated evidences to which an exponential tail is fitted."""
 
 
+CHANNEL_U: Final = 0.1
+"""How well the size of a channel's noise is known, as a part of it: by some fifty readings."""
+CHANNEL_STEP: Final = 1.5
+"""Sizes of channels count as the same for a threshold where they are within such a factor: a coarse grid."""
+
+
 @dataclass(frozen=True)
 class Threshold:
     """Evidence (ln odds of anything at all) that chance reaches with `probability`.
@@ -64,12 +70,20 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
     """Draw responses (N, sets) of readings in which nothing is missing; `ratios` (sets,) of the noise."""
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
-    response = rng.standard_normal((len(linear), sets))
+    response = rng.standard_normal((len(linear), sets)) * _row_sizes(linear, sets, rng)
     response += np.where(linear.setting >= 0, linear.slope, 0.0)[:, None] * setting[linear.setting]
     response *= sigma
     if linear.random.shape[1]:
         response += linear.random @ rng.standard_normal((linear.random.shape[1], sets))
     return response
+
+
+def _row_sizes(linear: LinearSystem, sets: int, rng: np.random.Generator) -> Floats:
+    """Return the noise of the rows: where channels differ, as far from what was estimated as estimates are."""
+    if np.all(linear.by_channel == 1.0):
+        return np.ones((len(linear), 1))
+    off = np.exp(CHANNEL_U * rng.standard_normal((4, sets)))
+    return np.asarray(linear.relative[:, None] * off[linear.rows.channel])
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
@@ -149,12 +163,19 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
-        (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS),
+        (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, CHANNEL_U),
+        channel_steps(linear),
     ]
     if readings.run.any():
         parts += [readings.run.tolist(), None if readings.block is None else readings.block.tolist()]
     parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
+
+
+def channel_steps(linear: LinearSystem) -> list[int]:
+    """Return the sizes of the channels' noise on the coarse grid of thresholds."""
+    steps: list[int] = np.round(np.log(linear.by_channel) / np.log(CHANNEL_STEP)).astype(int).tolist()
+    return steps
 
 
 DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")

@@ -34,6 +34,7 @@ from bench.analysis.mistakes.describing import (
     finish,
     weigh,
 )
+from bench.analysis.mistakes.tails import odds_of_tails
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import Block
 from bench.readings import mistaken
@@ -60,6 +61,15 @@ STANDS_OUT: Final = 3.5
 """Least size, in standard deviations, of a mistake beside the descriptions that are freer than needed."""
 EXPLAINED: Final = 1e-4
 """A kind of mistake explains a reading if what it leaves has a p above this."""
+BEYOND_TAILS: Final = 14.0
+"""Where the noise has heavy tails an outlier is so many times the noise of a reading off: a nearer one may be
+noise, as in 6 of 1,000 runs of the paper's length with Student's t of 4 degrees of freedom."""
+TAILS_ODDS: Final = -1.0
+"""The noise may have heavy tails where ln of the odds for them is no less."""
+SEVERAL: Final = 3
+"""So many nearer outliers are tails."""
+OF_READING: Final = 0.5
+"""A channel tells of the noise of readings where no more of its scatter is along du/dphi."""
 DIRECTIONS: Final = 4
 """Looks at a reading: its three channels, and along du/dphi."""
 
@@ -108,7 +118,34 @@ def find_single(
         freer = [weigh(description, situation, judged.noise).without(others) for description in held]
         if all(float(np.max(_studentised(p, situation, judged.noise, row))) > STANDS_OUT for p in freer):
             found.append(mistake)
+    near = [m for m in found if m.off_rad is None and _in_readings(m, judged.noise) < BEYOND_TAILS]
+    if near and _tailed(situation, judged, near):
+        found = [m for m in found if m not in near]
     return sorted(_alone(found), key=lambda m: -m.sigma), looks
+
+
+def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
+    """Return how far off an outlier is, in units of the noise of a reading."""
+    return float(max(abs(mistake.shift["xyz".index(c)]) for c in mistake.channels)) / noise.reading
+
+
+def _tailed(situation: Situation, judged: Examination, near: Sequence[SingleMistake]) -> bool:
+    """Whether outliers that are near are as well the tails of the noise, by the readings that are none."""
+    if len(near) >= SEVERAL:
+        return True
+    rest = judged.precision.without(judged.strange)
+    good = np.setdiff1d(np.arange(len(situation.left)), judged.strange).tolist()
+    blocks, pulls = rest.blocks, rest.pulls
+    sizes = np.stack([_ways_of(blocks[r], pulls[r], _ways(situation, judged.noise, r)) for r in good])
+    along = np.stack([_along_parts(situation, judged.noise, r) for r in good])
+    nearest = min(m.sigma for m in near)
+    odds = sum(odds_of_tails(sizes[along[:, c] < OF_READING, c], nearest) for c in range(3))
+    return odds > TAILS_ODDS
+
+
+def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:
+    variance = np.einsum("iw,ij,jw->w", ways, block, ways)
+    return np.asarray(pull @ ways / np.sqrt(np.maximum(variance, 1e-300)))
 
 
 def _alone(found: Sequence[SingleMistake]) -> list[SingleMistake]:
@@ -234,9 +271,7 @@ def _along_parts(situation: Situation, noise: Noise, row: int) -> Floats:
 
 def _studentised(precision: Precision, situation: Situation, noise: Noise, row: int) -> Floats:
     """Return a reading's difference from the others in the four directions, in standard deviations, (4,)."""
-    ways = _ways(situation, noise, row)
-    variance = np.einsum("iw,ij,jw->w", ways, precision.blocks[row], ways)
-    return np.asarray(np.abs(precision.pulls[row] @ ways) / np.sqrt(np.maximum(variance, 1e-300)))
+    return np.abs(_ways_of(precision.blocks[row], precision.pulls[row], _ways(situation, noise, row)))
 
 
 def _slips(problem: Problem, block: Block) -> list[tuple[Floats, Floats]]:

@@ -16,6 +16,7 @@ from bench.base.numbers import aligned, concise, fixed, quantity, rounded, scale
 from bench.model import CATALOGUE, Effect
 from bench.report.diagnosis import plots, words
 from bench.report.diagnosis.form import form_in_words
+from bench.report.diagnosis.overlay import most_telling, overlay_of_mount
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
 from bench.report.template import page
@@ -44,7 +45,10 @@ def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance
         state=STATES.get(diagnosis.verdict, "failed"),
         words=words,
         quantity=quantity,
-        verdict=words.verdict_in_words(diagnosis),
+        verdict=words.what_in_words(diagnosis),
+        gap=words.gap_of_verdict(diagnosis),
+        to_do=list(words.what_to_do(full)),
+        overlays=_overlays(shown),
         places=[_place(place) for place in diagnosis.where],
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
         form=list(form_in_words(diagnosis.form)) if diagnosis.form is not None else [],
@@ -122,6 +126,12 @@ def _tests(shown: Shown) -> list[Row]:
             chi2, p = f"{one.test.chi2:.1f} for {one.test.dof}", typeset(words.p_in_column(one.test.p, 2))
             rows.append(Row(name, (chi2, p, quantity(one.test.rms, unit), simulated)))
     return rows
+
+
+def _overlays(shown: Shown) -> tuple[list[Markup], list[Markup]]:
+    """Return measured and simulated signals, of the mounting that tells most, and of others, folded away."""
+    figures = [_drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[:MOST_DRAWN]]
+    return figures[:1], figures[1:]
 
 
 def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:

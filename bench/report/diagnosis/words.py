@@ -191,10 +191,19 @@ def left_out_in_words(gap: Gap) -> Iterator[str]:
 
 def verdict_in_words(diagnosis: Diagnosis) -> str:
     """Return what the verdict rests on, in one sentence without its end."""
-    effects, gap = diagnosis.effects, diagnosis.gap
-    closed = "".join(f"; {told}" for told in [gap_in_words(gap)] if told)
-    if diagnosis.of_copy == "confounded" and gap.reason:
-        closed = f"; {gap.reason}"
+    told = gap_of_verdict(diagnosis)
+    return what_in_words(diagnosis) + (f"; {told}" if told else "")
+
+
+def gap_of_verdict(diagnosis: Diagnosis) -> str:
+    """Return how far the gap closes, or why that does not confirm what was found; nothing where nothing was."""
+    gap = diagnosis.gap
+    return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
+
+
+def what_in_words(diagnosis: Diagnosis) -> str:
+    """Return what was found, in one sentence without its end."""
+    effects = diagnosis.effects
     match diagnosis.verdict:
         case "agrees":
             return "readings and model agree within the noise"
@@ -203,12 +212,33 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
                 " or ".join([mistake.name, *mistake.cannot_tell_from])
                 for mistake in diagnosis.mistakes.mistakes
             )
-            return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}{closed}"
+            return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}"
         case "named":
-            return f"{', '.join(effect_title(effect) for effect in effects)}{closed}"
+            return ", ".join(effect_title(effect) for effect in effects)
         case "confounded":
-            return f"{alike_in_words(effects)}{closed}"
-    return f"{'; '.join(effect.words for effect in effects)}{closed}"
+            return alike_in_words(effects)
+    return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
+
+
+def what_to_do(full: FullDiagnosis) -> Iterator[str]:
+    """Yield what a person does after a diagnosis, a sentence each, with the commands to type."""
+    diagnosis, source, model = full.diagnosis, full.source, full.model
+    if diagnosis.verdict == "mistake":
+        yield "Put it right on the bench and measure again" + (
+            f"; until then the corrected copy is {full.copy}" if full.copy else ""
+        )
+    if model is not None:
+        yield f"Take the model: bench calibrate {source} --model {model}"
+        yield f"Put it to the proof with new readings: bench confirm NEW --model {model}"
+    if diagnosis.of_copy == "confounded":
+        if full.next_measurement is not None:
+            yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
+        elif diagnosis.gap.reason:
+            yield "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
+    elif diagnosis.of_copy == "unknown":
+        yield "Measure the same again: what comes back is of the bench or the block; below stands where it acts"
+    elif diagnosis.verdict == "agrees":
+        yield f"Nothing; the coefficients stand: bench calibrate {source}"
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:

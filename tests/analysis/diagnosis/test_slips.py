@@ -112,9 +112,12 @@ def findings(reading_v, setting_arcsec, readings, **stated):
     return noise_findings(noise, readings, stated, 2.2)
 
 
-def test_the_readings_own_scatter_speaks_before_the_bench_file():
+def test_the_larger_of_the_readings_own_scatter_and_the_bench_file_counts():
     """45 uV over 10 samples are 14 uV, rounding to 0.1 uV adds nothing."""
-    (found,) = findings(40e-6, 0.0, sampled(45e-6), voltmeter_error=100e-6)
+    assert findings(150e-6, 0.0, sampled(45e-6), voltmeter_error=100e-6) == ()
+    (stated,) = findings(949e-6, 0.0, sampled(45e-6), voltmeter_error=100e-6)
+    assert (stated.source, stated.stated) == (BENCH_FILE, 100e-6)
+    (found,) = findings(40e-6, 0.0, sampled(45e-6), voltmeter_error=10e-6)
     assert (found.what, found.source) == ("reading", OWN_SCATTER)
     assert found.stated == pytest.approx(45e-6 / np.sqrt(10), rel=1e-3)
     assert found.factor == pytest.approx(40e-6 / found.stated)

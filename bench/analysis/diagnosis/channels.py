@@ -1,0 +1,63 @@
+"""How large the noise of each channel is beside the others', from what a description of the readings leaves."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.calibration.repeats_likelihood import believed_sizes
+from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.evidence import Data, Whitened
+from bench.analysis.diagnosis.linear import LinearSystem
+from bench.analysis.diagnosis.naming import Naming
+from bench.analysis.diagnosis.posterior import noise_size, posterior, whiten_rows
+from bench.analysis.diagnosis.repeats import cells_of
+from bench.base.arrays import Floats, Ints, rms
+
+UNEQUAL_P: Final = 0.01
+"""Channels have sizes of their own where chance alone makes them so different less often than this."""
+
+
+def by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
+    """Return the sizes (3,) of the channels' noise, 1 on the average of squares; all 1 where they are alike.
+
+    `left` (n, 3) is what a description leaves of each setting, `freedom` (n,) how much of it the description does
+    not take up, `slope` (n, 3) du/dphi: what goes along it is the setting's. `cells` (n,) number settings with
+    the same slope, `floor` is the least noise that is believed, unit of the signal.
+    """
+    count = int(cells.max()) + 1
+    free = np.bincount(cells, freedom, count)
+    products = (left[:, :, None] * left[:, None, :]).reshape(-1, 9)
+    scatter = _by_cell(products, cells, count)
+    mean = _by_cell(slope, cells, count) / np.bincount(cells, minlength=count)[:, None]
+    used = free > 1e-6
+    scatter, free = scatter[used].reshape(1, -1, 3, 3), free[used]
+    found = believed_sizes(scatter, free, mean[used][None], floor)
+    if float(found.p_equal[0]) > UNEQUAL_P:
+        return np.ones(3)
+    sizes = np.sqrt(found.variances[0, :3])
+    return np.asarray(sizes / rms(sizes))
+
+
+def _by_cell(columns: Floats, cells: Ints, count: int) -> Floats:
+    sums = [np.bincount(cells, column, count) for column in columns.T]
+    return np.asarray(np.stack(sums, axis=1), dtype=np.float64)
+
+
+def sizes_left(
+    linear: LinearSystem, candidates: Candidates, whitened: Whitened, data: Data, naming: Naming
+) -> Floats:
+    """Return the sizes (3,) of the channels' noise from what the model leaves with all that was found."""
+    noise = noise_size(whitened, data, naming.columns)
+    effects = candidates.columns[:, list(naming.columns)]
+    fitted = posterior(linear, effects, noise)
+    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)
+    rows = np.ones(len(linear), dtype=bool)
+    white = whiten_rows(linear, noise, design, rows)
+    free = 1.0 - np.einsum("np,pq,nq->n", white, fitted.covariance, white, optimize=True)
+    oriented = linear.setting >= 0
+    left = (linear.response - design @ fitted.mean)[oriented].reshape(-1, 3)
+    slope = linear.slope[oriented].reshape(-1, 3)
+    floor = 1e-11 * float(np.max(np.abs(linear.readings.signal)))
+    return by_channel(left, free[oriented].reshape(-1, 3).mean(axis=1), slope, cells_of(linear), floor)

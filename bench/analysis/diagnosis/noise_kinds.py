@@ -1,0 +1,46 @@
+"""In what the noise is not the normal noise of one size that a search begins with: said, and reckoned with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.analysis.diagnosis.linear import LinearSystem
+from bench.analysis.diagnosis.posterior import NoiseSize
+from bench.analysis.diagnosis.rounding import is_coarse
+from bench.analysis.diagnosis.weighing import WeighedDown
+from bench.base.arrays import CHANNELS
+from bench.base.numbers import quantity
+
+
+@dataclass(frozen=True)
+class NoiseKind:
+    """One thing that the noise is: "channels" of unequal noise, heavy "tails", a coarse "resolution"."""
+
+    what: str
+    words: str
+
+
+def noise_kinds(
+    linear: LinearSystem, noise: NoiseSize, weighed: WeighedDown | None, digit: float
+) -> Iterator[NoiseKind]:
+    """Yield what the noise is beside normal and of one size; `digit` is the step of the signals' last digit."""
+    unit = linear.readings.unit
+    if np.any(linear.by_channel != 1.0):
+        sizes = noise.reading * linear.by_channel
+        told = ", ".join(f"{quantity(size, unit)} in {c}" for c, size in zip(CHANNELS, sizes, strict=True))
+        yield NoiseKind("channels", f"the channels have noise of different sizes: {told}")
+    if weighed is not None:
+        yield NoiseKind(
+            "tails",
+            f"the noise has heavier tails than a normal one: {weighed.readings} readings are weighed down, and an "
+            "outlier is named only where it is far beyond them",
+        )
+    if is_coarse(digit, noise.reading):
+        yield NoiseKind(
+            "resolution",
+            f"the signals' last digit is {quantity(digit, unit)}, coarser than their noise: readings of a setting "
+            "are rounded alike, and what is smaller than the digit may stay hidden",
+        )
