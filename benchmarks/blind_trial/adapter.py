@@ -16,9 +16,11 @@ from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.show import Simulation, show
 from bench.analysis.diagnosis.threshold import channel_steps
 from bench.files.bench.file import BenchFile, load_bench
+from bench.files.formulas import load_effects
 from bench.files.shipped import find_bench
-from bench.model import ForwardModel, Installation
+from bench.model import CATALOGUE, Effect, ForwardModel, Installation
 from benchmarks.blind_trial.cases import Case
+from benchmarks.blind_trial.own_effects import FORMULAS
 
 LOCAL_GRAVITY = 9.81
 """m/s²; the coefficients are per local g, whatever it is."""
@@ -53,14 +55,25 @@ def _bench() -> tuple[BenchFile, ForwardModel, dict[str, float], _ByDesign]:
     return bench, ForwardModel(bench.installation_models()), stand_u, _ByDesign()
 
 
+@cache
+def _own() -> tuple[Effect, ...]:
+    return load_effects(FORMULAS)
+
+
 def diagnose_case(case: Case) -> dict[str, Any]:
+    """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
+    with CATALOGUE.also(_own() if case.own else ()):
+        return _diagnosed(case)
+
+
+def _diagnosed(case: Case) -> dict[str, Any]:
     """Return what `bench diagnose --json` promises, for the readings of a case, and the coefficients.
 
     These are estimated without and with what was found, with the covariance of each; where it was named, so is
     the error of the modulus at the verification points, g, with its u.
     """
     bench, model, stand_u, thresholds = _bench()
-    thresholds.key = (case.design, case.reading_noise_v)
+    thresholds.key = (f"{case.design}{' own' * case.own}", case.reading_noise_v)
     if case.stated_psi_deg is not None:
         stated = Installation.from_axes("V", ("x", "y", "z"), np.radians(case.stated_psi_deg), "z")
         model = replace(model, installations={**model.installations, "V": stated})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -16,6 +17,7 @@ from benchmarks.blind_trial.geometry import Floats
 from benchmarks.blind_trial.known import HAND_SET, OTHER_PSI, REPAIRED, common_volts, hand_set, stated_psi_deg
 from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
 from benchmarks.blind_trial.noises import COARSE, draw
+from benchmarks.blind_trial.own_effects import OWN
 from benchmarks.blind_trial.signals import (
     SETTING_SIGMA,
     STAND_SIGMA,
@@ -67,8 +69,9 @@ class Row:
 class Case:
     """What the diagnosis is given: a table of readings, and the noise that the bench file states (1 σ).
 
-    `reading_noise_v` in V, `setting_noise` in rad; `stated_psi_deg` is what the bench file says of the verification
-    points, None where it is right. The name says nothing of what is hidden.
+    `reading_noise_v` in V, `setting_noise` in rad; with `own` it is given the formulas of the user's own as well.
+    `stated_psi_deg` is what the bench file says of the verification points, None where it is right. The name says
+    nothing of what is hidden.
     """
 
     id: str
@@ -76,6 +79,7 @@ class Case:
     readings: Readings
     reading_noise_v: float
     setting_noise: float
+    own: bool = False
     stated_psi_deg: float | None = None
 
 
@@ -144,7 +148,7 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     if row.kind == REPAIRED:
         mistake = MISTAKES["outlier"](rng, run)
     readings = _measure(rng, row, run, truths, mistake)
-    case = Case(digest.hex()[:12], row.design, readings, row.noise_v, SETTING_SIGMA)
+    case = Case(digest.hex()[:12], row.design, readings, row.noise_v, SETTING_SIGMA, row.kind == "own")
     if row.kind == OTHER_PSI:
         case = replace(case, stated_psi_deg=stated_psi_deg(rng))
     answer = Answer(case.id, row, index, seed, tuple(_hidden(t, run, row) for t in truths))
@@ -200,6 +204,8 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
     match row.kind:
         case "single" | "repaired":
             return [_next(rng, row, run, seen, list(CATALOGUE), index)]
+        case "own":
+            return [_next(rng, row, run, seen, list(OWN), index, OWN)]
         case "pair":
             first = _next(rng, row, run, seen, list(CATALOGUE), index)
             others = [name for name in CATALOGUE if CLASS_OF[name] != CLASS_OF[first.name]]
@@ -231,11 +237,17 @@ def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _next(
-    rng: np.random.Generator, row: Row, run: Run, seen: Visibility, names: list[str], start: int
+    rng: np.random.Generator,
+    row: Row,
+    run: Run,
+    seen: Visibility,
+    names: list[str],
+    start: int,
+    draws: Mapping[str, Draw] = CATALOGUE,
 ) -> Truth:
     """Draw the effect whose turn it is, or the next one that this design can show at a plausible size."""
     for k in range(len(names)):
-        draw = CATALOGUE[names[(start + k) % len(names)]]
+        draw = draws[names[(start + k) % len(names)]]
         truth = _attempt(rng, row, run, seen, draw, MOST_TIMES_PLAUSIBLE)
         if truth is not None:
             return truth

@@ -77,6 +77,7 @@ FULL: Final[tuple[Row, ...]] = (
     Row("single", rho=8, noise_factor=1.3),
     *(Row("pair", rho=rho, count=150) for rho in (10, 15)),
     *(Row("outside", rho=rho, count=200) for rho in (12, 20)),
+    *(Row("own", rho=rho, count=120) for rho in (6, 10, 20)),
     Row("hidden"),
     Row("hidden", "unverified"),
     Row("equal_k2", rho=12),
@@ -92,6 +93,7 @@ SHORT: Final[tuple[Row, ...]] = (
     Row("single", "turn-12", 10, count=27),
     Row("pair", rho=10, count=20),
     Row("outside", rho=20, count=20),
+    Row("own", rho=10, count=12),
     Row("hidden", count=10),
     Row("equal_k2", rho=12, count=5),
     Row("mounting_roll", rho=10, count=5),
@@ -111,7 +113,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rows", type=int, metavar="N", help="so many cases in each row")
     parser.add_argument("--share", type=float, default=1.0, metavar="S", help="this part of each row's cases")
-    parser.add_argument("--only", metavar="KIND", help="null, single, pair, outside, hidden, mistake, ...")
+    parser.add_argument(
+        "--only", metavar="KIND", help="null, single, own, pair, outside, hidden, mistake, ..."
+    )
     parser.add_argument("--ties", choices=["signature", "table"], default="signature")
     parser.add_argument("--json", metavar="FILE", help="score and outcomes; - for standard output")
     parser.add_argument(
