@@ -31,9 +31,10 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from bench.analysis.diagnosis.free_positions import FreeDiagnosis
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
     from bench.api.diagnosis import Body
-    from bench.api.source import Request
+    from bench.api.source import Request, Source
 
 
 @app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
@@ -73,13 +74,25 @@ def diagnose(
 ) -> int:
     """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
     one_thread()
+    from bench.analysis.diagnosis.free_positions import all_free
     from bench.analysis.diagnosis.full import TooLittleLeft
-    from bench.api.source import Request
+    from bench.api.source import Request, load_sources
 
+    printing.check_target(json)
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
+    loaded = load_sources(request)
+    if all_free([source.readings for source in loaded]):
+        free = _free(loaded, json, together=together, one_sensor=one_block)
+        return 1 if strict and any(one.verdict != "agrees" for one in free) else 0
     try:
         results = diagnosed(
-            request, json, together=together, one_block=one_block, accept_first=accept_first, report=report
+            request,
+            json,
+            loaded,
+            together=together,
+            one_block=one_block,
+            accept_first=accept_first,
+            report=report,
         )
     except TooLittleLeft as found:
         if len(sources) > 1:
@@ -100,13 +113,17 @@ def _told(found: TooLittleLeft, source: str, target: str | None) -> None:
 def diagnosed(
     request: Request,
     target: str | None,
+    loaded: list[Source] | None = None,
     *,
     together: bool = False,
     one_block: bool | None = None,
     accept_first: bool = False,
     report: bool | None = None,
 ) -> list[FullDiagnosis]:
-    """Diagnose the sources, each by itself or all `together`; print, write JSON to `target`, and return it."""
+    """Diagnose the sources, each by itself or all `together`; print, write JSON to `target`, and return it.
+
+    `loaded` are the sources where they have been read already.
+    """
     from bench.api.diagnosis import body_of
     from bench.api.own_effects import knowing_effects_of
     from bench.api.source import check_places, load_sources
@@ -115,7 +132,7 @@ def diagnosed(
     check_places(request)
     alone = together or len(request.sources) == 1
     out = printing.console(json=target)
-    loaded = load_sources(request)
+    loaded = load_sources(request) if loaded is None else loaded
     printing.bench_files(loaded, target)
     with knowing_effects_of(*loaded):
         if alone:
@@ -127,6 +144,24 @@ def diagnosed(
                 results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
         printing.write_json([one.to_dict() for one in results], target)
         _print(results, out, alone=alone)
+    return results
+
+
+def _free(
+    loaded: list[Source], target: str | None, *, together: bool, one_sensor: bool | None
+) -> list[FreeDiagnosis]:
+    """Diagnose free positions, which have nothing but |a| = 1 g: no page is drawn and no model written."""
+    from bench.analysis.diagnosis.free_positions import diagnose_free
+    from bench.report.diagnosis.free_terminal import print_free
+
+    out = printing.console(json=target)
+    results = []
+    for body in [loaded] if together else [[source] for source in loaded]:
+        tables = [replace(source.readings, source=source.name) for source in body]
+        results.append(diagnose_free(tables, one_sensor))
+    printing.write_json([one.to_dict() for one in results], target)
+    for one in results:
+        print_free(one, out)
     return results
 
 

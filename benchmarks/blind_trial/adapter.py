@@ -15,9 +15,11 @@ from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.show import Simulation, show
 from bench.analysis.diagnosis.threshold import channel_steps
 from bench.files.bench.file import BenchFile, load_bench
+from bench.files.formulas import load_effects
 from bench.files.shipped import find_bench
-from bench.model import ForwardModel
+from bench.model import CATALOGUE, Effect, ForwardModel
 from benchmarks.blind_trial.cases import Case
+from benchmarks.blind_trial.own_effects import FORMULAS
 
 LOCAL_GRAVITY = 9.81
 """m/s²; the coefficients are per local g, whatever it is."""
@@ -35,7 +37,7 @@ class _ByDesign(ThresholdCache):
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
-        key = (*self.key, len(linear), *channel_steps(linear))
+        key = (*self.key, len(linear), linear.fixed.shape[1], *channel_steps(linear))
         if key not in self.known:
             self.known[key] = super().threshold(linear, whitened, setting_rad)
         return self.known[key]
@@ -52,20 +54,35 @@ def _bench() -> tuple[BenchFile, ForwardModel, dict[str, float], _ByDesign]:
     return bench, ForwardModel(bench.installation_models()), stand_u, _ByDesign()
 
 
+@cache
+def _own() -> tuple[Effect, ...]:
+    return load_effects(FORMULAS)
+
+
 def diagnose_case(case: Case) -> dict[str, Any]:
+    """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
+    with CATALOGUE.also(_own() if case.own else ()):
+        return _diagnosed(case)
+
+
+def _diagnosed(case: Case) -> dict[str, Any]:
     """Return what `bench diagnose --json` promises, for the readings of a case, and the coefficients.
 
     These are estimated without and with what was found, with the covariance of each; where it was named, so is
     the error of the modulus at the verification points, g, with its u.
     """
     bench, model, stand_u, thresholds = _bench()
-    thresholds.key = (case.design, case.reading_noise_v)
+    thresholds.key = (f"{case.design}{' own' * case.own}", case.reading_noise_v)
     nominal = np.array(bench.unit_under_test.scale_factors.values)
     found = diagnose(case.readings, model, stand_u, nominal, thresholds)
     points = None
-    if found.verdict == "named":
+    several = found.linear.readings.block is not None
+    if found.verdict == "named" and not several:
         shown = show(found.mistakes.corrected, model, found.applied, stand_u, LOCAL_GRAVITY)
         points = {"before": _points(shown.before), "after": _points(shown.after)}
+    if several:
+        # each block has coefficients of its own
+        return found.to_dict() | {"delta_g": None}
     nothing = found.candidates.columns[:, :0]
     without = posterior(found.linear, nothing, found.noise)
     return found.to_dict() | {

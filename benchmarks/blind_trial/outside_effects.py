@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats
 from benchmarks.blind_trial.designs import Run
+from benchmarks.blind_trial.own_effects import OWN
 from benchmarks.blind_trial.stand_effects import wobble
 from benchmarks.blind_trial.truth import CHANNELS, Draw, Shift, Truth
 
@@ -101,6 +103,48 @@ def _gear_ratio(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("gear_ratio_error", "stand", shift=shift)
 
 
+def _fifth_power(rng: np.random.Generator, run: Run) -> Truth:
+    channel = int(rng.integers(3))
+
+    def act(_: Run, force: Floats, x: float) -> Floats:
+        return np.asarray(x * SIZE_G * force**5 * np.eye(3)[channel])
+
+    return Truth("fifth_power", "block", act, channels=(CHANNELS[channel],))
+
+
+def _two_time_constants(rng: np.random.Generator, run: Run) -> Truth:
+    """Two junctions in the leads of a channel come to rest, one soon and one late, against each other."""
+    late, soon = 90 * 60.0, 12 * 60.0
+
+    def act(r: Run, volts: Floats, x: float) -> Floats:
+        course = np.exp(-r.time_s / late) - 0.8 * np.exp(-r.time_s / soon)
+        return np.asarray(x * 30e-6 * course[:, None] * np.eye(3)[channel])
+
+    channel = int(rng.integers(3))
+    return Truth("two_time_constants", "voltmeter", act, channels=(CHANNELS[channel],))
+
+
+def _noise_burst(rng: np.random.Generator, run: Run) -> Truth:
+    """A channel is noisy in one pass of one mounting."""
+    mount = rng.choice(run.calibration_mounts)
+    number = rng.choice(np.unique(run.pass_number[(run.mount == mount) & run.fitted]))
+    rows = (run.mount == mount) & (run.pass_number == number) & run.fitted
+    return _one_channel("noise_burst", rng, rows * rng.normal(size=len(rows)))
+
+
+def _unknown(draw: Draw) -> Draw:
+    """Return an effect that a user's formula describes, where no such formula is given."""
+
+    def drawn(rng: np.random.Generator, run: Run) -> Truth:
+        truth = draw(rng, run)
+        return replace(truth, name=f"{truth.name} (unknown)")
+
+    return drawn
+
+
+WITHOUT_MEAN: Final = ("random_walk", "flicker_noise", "noise_burst")
+"""What is another course in each run: no form of its mean predicts what was not read."""
+
 OUTSIDE: Final[dict[str, Draw]] = {
     "bias_jump": _bias_jump,
     "random_walk": _random_walk,
@@ -112,4 +156,8 @@ OUTSIDE: Final[dict[str, Draw]] = {
     "dead_band": _dead_band,
     "gear_ratio_error": _gear_ratio,
     "flicker_noise": _flicker,
+    **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()},
+    "fifth_power": _fifth_power,
+    "two_time_constants": _two_time_constants,
+    "noise_burst": _noise_burst,
 }

@@ -12,7 +12,9 @@ import numpy as np
 from scipy.stats import binomtest, chi2
 
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
+from benchmarks.blind_trial.closing import true_closing
 from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
+from benchmarks.blind_trial.outside_effects import WITHOUT_MEAN
 from benchmarks.blind_trial.signals import U0, K
 from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
@@ -143,16 +145,36 @@ def _judge_kind(
     if kind == "outside":
         alike = likeness is not None and likeness(answer) >= FOREIGN_BUT_ALIKE
         apart = " (like a member)" if alike else ""
-        return {
+        marks = {
             f"detected{apart}": verdict != "agrees",
             f"flagged unknown{apart}": verdict == "unknown",
             f"given a single name{apart}": verdict == "named",
         }
+        return marks | _judge_form(case, answer, diagnosis)
     if answer.kind in SLIPS:
         return _judge_slip(answer, diagnosis)
     if kind == "pair":
         return _judge_pair(answer, diagnosis)
     return _judge_single(case, answer, diagnosis, can_tell)
+
+
+def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:
+    """Say whether what has a mean form is found at all, and whether the form given to it closes the gap.
+
+    On readings held out, by what is above noise, against what the true form with its size refitted closes.
+    """
+    if answer.names[0] in WITHOUT_MEAN:
+        return {}
+    marks = {"detected (has a mean form)": diagnosis["verdict"] != "agrees"}
+    form = diagnosis.get("form")
+    if diagnosis["verdict"] == "unknown" and form is not None:
+        closed, true = form["gap"]["closed"], true_closing(case, answer)
+        if true is not None and true > 0.0:
+            marks["form closes 80 %"] = closed is not None and closed >= FORM_CLOSES * true
+    return marks
+
+
+FORM_CLOSES: Final = 0.8
 
 
 def _judge_hidden(answer: Answer, diagnosis: Diagnosis) -> Marks:

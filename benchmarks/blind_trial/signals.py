@@ -109,6 +109,19 @@ def visibility(design: str, noise_v: float, setting: float, *, verification: boo
     With `verification` the rows V count too, each by the modulus of the specific force alone: how the block
     is turned there is not known well enough.
     """
+    rows, whitener, top, priors = explained(design, noise_v, setting, verification=verification)
+    taken, _ = np.linalg.qr(np.vstack([top, priors]))
+    return Visibility(rows, whitener, taken)
+
+
+@lru_cache
+def explained(
+    design: str, noise_v: float, setting: float, *, verification: bool = False
+) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
+    """Return the rows that count, what whitens each (rows, 3, 3), and the whitened columns of what a fit has.
+
+    These are (3·rows, q) of the coefficients and the stand errors, and (stand errors, q) of their priors.
+    """
     run = make_run(design)
     rows = run.measured if verification else run.fitted
     by_angle = _slope(lambda h: signals(run, setting=h))[rows]
@@ -131,8 +144,7 @@ def visibility(design: str, noise_v: float, setting: float, *, verification: boo
     top = np.einsum("nij,njq->niq", whitener, columns).reshape(-1, columns.shape[-1])
     # each stand error, in units of its standard deviation, is also observed once as zero: its prior
     priors = np.hstack([np.zeros((len(nuisances), 12)), np.eye(len(nuisances))])
-    taken, _ = np.linalg.qr(np.vstack([top, priors]))
-    return Visibility(rows, whitener, taken)
+    return rows, whitener, top, priors
 
 
 def _slope(of: Callable[[float], Floats], step: float = 1e-5) -> Floats:

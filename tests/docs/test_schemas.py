@@ -34,6 +34,7 @@ def test_a_schema_is_one_and_describes_what_it_is_of(name):
     [
         ("calibrate", "calibrate finished --estimator robust --join-verification"),
         ("calibrate", f"calibrate {DATA / 'xsens-38.csv'} --g 9.81744 --out here"),
+        ("diagnose-free", f"diagnose {DATA / 'innalabs-49.csv'} --out here"),
         ("verify", "verify finished --rule guarded"),
         ("budget", "budget --procedure quick --trials 2200"),
         ("require", "require --accuracy 3e-4 --procedure quick"),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bench.analysis.diagnosis.form.describe import FormTerm, FreeForm
+from bench.analysis.diagnosis import Diagnosis
+from bench.analysis.diagnosis.form.describe import FormTerm
 from bench.base.numbers import quantity, rounded, two_digits
 from bench.report.diagnosis.words import with_unit
 
@@ -27,15 +28,18 @@ def term_in_words(term: FormTerm) -> str:
     return f"{effect.name}: {effect.expression}, {where}; {', '.join([*sizes, *constants])}"
 
 
-def form_in_words(form: FreeForm) -> Iterator[str]:
-    """Yield the lines that describe what has no name."""
-    if not form.terms:
+def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield the lines that describe what has no name; nothing where there is nothing to say of it."""
+    form = diagnosis.form
+    if form is None:
+        return
+    if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
         yield "no term of the dictionary describes it"
     for term in form.terms:
         yield term_in_words(term)
         also = f"; could also be: {'; '.join(term.could_also_be)}" if term.could_also_be else ""
         yield f"that is {term.family}, {term.rho:.1f} times the noise in all (rho){also}"
-    if form.terms and form.folds:
+    if form.terms and form.counted:
         closed = "" if form.closed is None else f", which closes {100 * form.closed:.0f} % of the gap"
         yield (
             f"on readings not used: reduced chi-square {form.before:.2f} before, {form.after:.2f} with the terms "
@@ -47,5 +51,5 @@ def form_in_words(form: FreeForm) -> Iterator[str]:
         one = form.scatter
         sizes = f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
         yield f"scatter without a form: {one.words}, {sizes}"
-    if form.dark > 0.0:
+    if form.dark > 0.0 and (form.terms or form.scatter is not None):
         yield f"what stays unexplained: {quantity(form.dark, form.unit)} in each reading (dark uncertainty)"

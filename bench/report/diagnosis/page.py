@@ -51,7 +51,7 @@ def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance
         overlays=_overlays(shown),
         places=[_place(place) for place in diagnosis.where],
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
-        form=list(form_in_words(diagnosis.form)) if diagnosis.form is not None else [],
+        form=list(form_in_words(diagnosis)),
         held_out=_held_out(diagnosis.gap),
         gap_bars=_drawn(plots.gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
         coefficients=_coefficients(shown),

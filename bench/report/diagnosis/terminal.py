@@ -11,7 +11,6 @@ from rich.table import Table
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.confirm import Confirmation
-from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import quantity, typeset
@@ -33,8 +32,7 @@ def print_one(full: FullDiagnosis, out: Console) -> None:
     _places(diagnosis, out)
     for number, effect in enumerate(diagnosis.effects):
         _effect(effect, full.rivals_of(number), out)
-    if diagnosis.form is not None:
-        _form(full, diagnosis.form, out)
+    _form(full, out)
     if diagnosis.effects:
         _gap(diagnosis, shown, out)
     if shown.after is not None:
@@ -134,11 +132,14 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
         out.print(f"  {'; '.join(filter(None, parts))}")
 
 
-def _form(full: FullDiagnosis, form: FreeForm, out: Console) -> None:
-    out.print("Its form, as a dictionary of terms describes it:", style="bold")
-    for line in form_in_words(form):
+def _form(full: FullDiagnosis, out: Console) -> None:
+    lines = list(form_in_words(full.diagnosis))
+    if not lines:
+        return
+    out.print("The form of what has no name:", style="bold")
+    for line in lines:
         out.print(f"  {typeset(line)}")
-    if full.model is not None:
+    if full.diagnosis.form is not None and full.diagnosis.form.predicts and full.model is not None:
         out.print(f"  to give it a name: bench accept {full.model} --name NAME --sentence TEXT")
 
 

@@ -12,7 +12,15 @@ from scipy import special
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.form.dictionary import Dictionary, make_dictionary
 from bench.analysis.diagnosis.form.scatter import Scatter, larger_scatter
-from bench.analysis.diagnosis.form.search import FormFold, Setting, alike, held_out, search, whitened_columns
+from bench.analysis.diagnosis.form.search import (
+    Form,
+    FormFold,
+    Setting,
+    alike,
+    held_out,
+    search,
+    whitened_columns,
+)
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Found
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior, noise_size, posterior, whiten_rows
@@ -99,14 +107,19 @@ class FreeForm:
     unit: str
 
     @property
+    def counted(self) -> tuple[FormFold, ...]:
+        """The parts held out without which the rest could have shown the terms."""
+        return tuple(fold for fold in self.folds if fold.counted)
+
+    @property
     def before(self) -> float:
-        """Reduced chi-square of all readings held out, without the terms."""
-        return self._reduced([fold.before[1] for fold in self.folds])
+        """Reduced chi-square of the readings held out that count, without the terms."""
+        return self._reduced([fold.before[1] for fold in self.counted])
 
     @property
     def after(self) -> float:
         """The same with the terms that were found without them."""
-        return self._reduced([fold.after[1] for fold in self.folds])
+        return self._reduced([fold.after[1] for fold in self.counted])
 
     @property
     def closed(self) -> float | None:
@@ -124,24 +137,29 @@ class FreeForm:
         return tuple(term.applied for term in self.terms) if self.predicts else ()
 
     def _reduced(self, chi2: Sequence[float]) -> float:
-        return sum(chi2) / max(sum(fold.count for fold in self.folds), 1)
+        return sum(chi2) / max(sum(fold.count for fold in self.counted), 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a result says of it."""
         told = self.scatter
-        rms = [_rms([getattr(fold, when)[0] for fold in self.folds]) for when in ("before", "after")]
+        rms = [_rms([getattr(fold, when)[0] for fold in self.counted]) for when in ("before", "after")]
         return {
             "terms": [term.to_dict() for term in self.terms],
             "gap": {
-                "before": self.before if self.folds else None,
-                "after": self.after if self.folds else None,
+                "before": self.before if self.counted else None,
+                "after": self.after if self.counted else None,
                 "floor": 1.0,
                 "closed": self.closed,
                 "before_rms": rms[0],
                 "after_rms": rms[1],
                 "unit": self.unit,
                 "held_out": [
-                    {"what": f.label, "before": f.before[1] / f.count, "after": f.after[1] / f.count}
+                    {
+                        "what": f.label,
+                        "counted": f.counted,
+                        "before": f.before[1] / f.count,
+                        "after": f.after[1] / f.count,
+                    }
                     for f in self.folds
                 ],
             },
@@ -174,12 +192,14 @@ def describe(linear: LinearSystem, given: Floats, repeats_sigma: float, setting:
     noise = noise_size(whitened, data, tuple(columns))
     fitted = posterior(linear, dictionary.candidates.columns[:, columns], noise)
     others = [alike(whitened, data, count, found, i) for i in range(len(found))]
-    thirds = any(dictionary.of(f.variant).once for f in found)
+    once = any(dictionary.of(f.variant).once for f in found)
     form = FreeForm(
         terms=_terms(linear, dictionary, found, others, fitted, count),
-        folds=tuple(held_out(linear, dictionary.candidates, count, noise, setting, thirds=thirds))
-        if found
-        else (),
+        folds=tuple(
+            held_out(linear, dictionary.candidates, _of(found, fitted, count), noise, setting, once=once)
+            if found
+            else ()
+        ),
         dark=0.0,
         scatter=None,
         unit=linear.readings.unit,
@@ -192,6 +212,12 @@ def describe(linear: LinearSystem, given: Floats, repeats_sigma: float, setting:
         dark=float(np.sqrt(max(noise.reading**2 - repeats_sigma**2, 0.0))),
         scatter=larger_scatter(linear, _left(linear, dictionary.candidates.columns[:, believed], noise)),
     )
+
+
+def _of(found: list[Found], fitted: Posterior, given: int) -> Form:
+    """Return the terms with the sizes of their columns."""
+    ends = np.cumsum([len(f.variant.columns) for f in found])
+    return Form(given, found, np.split(fitted.amplitudes[given:], ends[:-1]))
 
 
 def _left(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:

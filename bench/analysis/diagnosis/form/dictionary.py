@@ -314,7 +314,7 @@ def _of_time(conditions: Conditions) -> Iterator[Course]:
         return
     span = (_constant("T", "s", 1.0, float(f"{np.ptp(time):.4g}")),)
     yield Course("the time", ("time / T",), span, long=True)
-    yield Course("the square of the time", ("(time / T)**2",), span, long=True)
+    yield Course("the time and its square", ("time / T", "(time / T)**2"), span, long=True)
     for minutes in TIME_CONSTANTS_MIN:
         tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
         yield Course("what fades with time", ("exp(-time / tau)",), tau, long=True)

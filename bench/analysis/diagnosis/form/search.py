@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates
-from bench.analysis.diagnosis.evidence import Data, Whitened
-from bench.analysis.diagnosis.holdout import determined, folds_of, restrict, thirds_of
+from bench.analysis.diagnosis.evidence import Data, Search, Whitened
+from bench.analysis.diagnosis.holdout import SURE, determined, folds_of, restrict, thirds_of
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import LESS_PLAUSIBLE, Found, Scored
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
@@ -34,16 +35,29 @@ class Setting:
 
 @dataclass(frozen=True)
 class FormFold:
-    """Readings held out: chi-square and error (n,) as the model was given and with the terms found without them."""
+    """Readings held out: error (n,) and chi-square as the model was given and with the terms found without them.
+
+    It is `counted` where the other readings could have shown the terms at all.
+    """
 
     label: str
     before: tuple[Floats, float]
     after: tuple[Floats, float]
+    counted: bool
 
     @property
     def count(self) -> int:
         """How many rows."""
         return len(self.before[0])
+
+
+@dataclass(frozen=True)
+class Form:
+    """What was found in all readings, beside the first `given` columns; `sizes` of each term's columns."""
+
+    given: int
+    found: list[Found]
+    sizes: list[Floats]
 
 
 def search(whitened: Whitened, data: Data, given: int, limit: Threshold) -> list[Found]:
@@ -101,25 +115,39 @@ def whitened_columns(linear: LinearSystem, candidates: Candidates, setting: Sett
 def held_out(
     linear: LinearSystem,
     candidates: Candidates,
-    given: int,
+    found: Form,
     noise: NoiseSize,
     setting: Setting,
     *,
-    thirds: bool,
+    once: bool,
 ) -> list[FormFold]:
     """Search again without each part of the readings in turn, and predict it.
 
-    Parts are passes and the verification points, or `thirds`: every third setting, where something is of one pass.
+    Parts are passes and the verification points; every third setting where something happens `once`, or where no
+    other part can be counted.
     """
-    parts = thirds_of(linear) if thirds else folds_of(linear)
+    folds = [] if once else _folds(linear, candidates, found, noise, setting, folds_of(linear))
+    if not any(fold.counted for fold in folds):
+        folds += _folds(linear, candidates, found, noise, setting, thirds_of(linear))
+    return folds
+
+
+def _folds(
+    linear: LinearSystem,
+    candidates: Candidates,
+    found: Form,
+    noise: NoiseSize,
+    setting: Setting,
+    parts: Iterator[tuple[str, Mask]],
+) -> list[FormFold]:
     able = [(label, held) for label, held in parts if determined(linear, ~held)]
-    return [_fold(linear, candidates, given, noise, setting, *fold) for fold in able]
+    return [_fold(linear, candidates, found, noise, setting, *fold) for fold in able]
 
 
 def _fold(
     linear: LinearSystem,
     candidates: Candidates,
-    given: int,
+    form: Form,
     noise: NoiseSize,
     setting: Setting,
     label: str,
@@ -129,10 +157,25 @@ def _fold(
     part = restrict(linear, train)
     kept = Candidates(candidates.columns[train], candidates.kinds, candidates.scale, candidates.variants)
     whitened = whitened_columns(part, kept, setting)
-    found = search(whitened, whitened.reduce(part.response[:, None]), given, setting.limit)
+    found = search(whitened, whitened.reduce(part.response[:, None]), form.given, setting.limit)
 
     def error(columns: list[int]) -> tuple[Floats, float]:
         effects = candidates.columns[:, columns]
         return predicted_error(linear, effects, noise, posterior(linear, effects, noise, train), held)
 
-    return FormFold(label, error([]), error(_known(given, found)))
+    counted = _could_show(whitened, form, noise, setting.limit)
+    return FormFold(label, error([]), error(_known(form.given, found)), counted)
+
+
+def _could_show(whitened: Whitened, form: Form, noise: NoiseSize, limit: Threshold) -> bool:
+    """Whether these readings would show each term at its size: from the design, not from their values."""
+    half = np.sqrt(2.0 * max(limit.value + np.log(len(whitened.candidates.families)), 1.0))
+    for i, (one, size) in enumerate(zip(form.found, form.sizes, strict=True)):
+        mine = list(one.variant.columns)
+        gram = Search.beside(whitened, _known(form.given, form.found, but=i)).cross(
+            len(whitened.gram) // 2, mine
+        )
+        seen = float(size @ gram[:, mine] @ size) * (whitened.grid.sigma / noise.reading) ** 2
+        if np.sqrt(max(seen, 0.0)) < half + SURE:
+            return False
+    return True
