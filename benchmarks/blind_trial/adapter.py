@@ -37,7 +37,7 @@ class _ByDesign(ThresholdCache):
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
-        key = (*self.key, len(linear), *channel_steps(linear))
+        key = (*self.key, len(linear), linear.fixed.shape[1], *channel_steps(linear))
         if key not in self.known:
             self.known[key] = super().threshold(linear, whitened, setting_rad)
         return self.known[key]
@@ -76,9 +76,13 @@ def _diagnosed(case: Case) -> dict[str, Any]:
     nominal = np.array(bench.unit_under_test.scale_factors.values)
     found = diagnose(case.readings, model, stand_u, nominal, thresholds)
     points = None
-    if found.verdict == "named":
+    several = found.linear.readings.block is not None
+    if found.verdict == "named" and not several:
         shown = show(found.mistakes.corrected, model, found.applied, stand_u, LOCAL_GRAVITY)
         points = {"before": _points(shown.before), "after": _points(shown.after)}
+    if several:
+        # each block has coefficients of its own
+        return found.to_dict() | {"delta_g": None}
     nothing = found.candidates.columns[:, :0]
     without = posterior(found.linear, nothing, found.noise)
     return found.to_dict() | {

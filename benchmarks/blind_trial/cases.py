@@ -10,9 +10,18 @@ from typing import Final
 
 import numpy as np
 
+from bench.readings.joined import JoinedPart, together
 from bench.readings.table import Readings, make_readings
 from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C, Run, Weather, make_run
-from benchmarks.blind_trial.effects import CATALOGUE, CLASS_OF, HIDDEN, OUTSIDE, SEEN_IN_VERIFICATION, STAND
+from benchmarks.blind_trial.effects import (
+    BLOCK,
+    CATALOGUE,
+    CLASS_OF,
+    HIDDEN,
+    OUTSIDE,
+    SEEN_IN_VERIFICATION,
+    STAND,
+)
 from benchmarks.blind_trial.geometry import Floats
 from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
 from benchmarks.blind_trial.noises import COARSE, draw
@@ -43,7 +52,8 @@ class Row:
 
     `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS` or mistake:NAME.
     `noise_v` is what the bench states, `noise_factor` how many times that the truth is (readings and settings
-    alike), `noise` which kind it is of (`NOISES`).
+    alike), `noise` which kind it is of (`NOISES`). A case may be of several `runs` that all have the same effect,
+    `rho` in each: of one block, or of a block each (`blocks`).
     """
 
     kind: str
@@ -53,14 +63,18 @@ class Row:
     noise_factor: float = 1.0
     count: int = 100
     noise: str = "equal"
+    runs: int = 1
+    blocks: bool = False
 
     @property
     def key(self) -> str:
         """What the row is called in tables and in seeds."""
         visible = "" if self.rho is None else f" rho {self.rho:g}"
         factor = "" if self.noise_factor == 1 else f" x{self.noise_factor:g}"
+        of = "a block each" if self.blocks else "one block"
+        several = f", {self.runs} runs of {of}" if self.runs > 1 else ""
         noise = "" if self.noise == "equal" else f", {self.noise}"
-        return f"{self.kind} {self.design}{visible} {self.noise_v * 1e6:g} uV{factor}{noise}"
+        return f"{self.kind} {self.design}{visible} {self.noise_v * 1e6:g} uV{factor}{noise}{several}"
 
 
 @dataclass(frozen=True)
@@ -133,20 +147,35 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     """Make case `index` of a row, the same for the same seed, row and index."""
     digest = hashlib.sha256(f"{seed}/{row.key}/{index}".encode()).digest()
     rng = np.random.default_rng(list(digest))
-    phase, turn = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1])
-    run = make_run(row.design).with_weather(
-        Weather(float(phase), turn * 0.25 / 7200, float(rng.normal(0, 0.1)))
-    )
+    run = _run(rng, row)
     truths = _truths(rng, row, run, index)
     mistake = (
         MISTAKES[row.kind.removeprefix("mistake:")](rng, run) if row.kind.startswith("mistake:") else None
     )
     readings = _measure(rng, row, run, truths, mistake)
+    if row.runs > 1:
+        tables = [readings, *(_measure(rng, row, _run(rng, row), truths, None) for _ in range(1, row.runs))]
+        tables = [_of_another_block(rng, table) for table in tables] if row.blocks else tables
+        readings = together([JoinedPart(table) for table in tables])
     case = Case(digest.hex()[:12], row.design, readings, row.noise_v, SETTING_SIGMA, row.kind == "own")
     answer = Answer(case.id, row, index, seed, tuple(_hidden(t, run, row) for t in truths))
     if mistake is not None:
         answer = replace(answer, place=mistake.place, accepted=mistake.names)
     return case, answer
+
+
+def _run(rng: np.random.Generator, row: Row) -> Run:
+    """Return a run of the row's design in a weather of its own."""
+    phase, turn = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1])
+    return make_run(row.design).with_weather(
+        Weather(float(phase), turn * 0.25 / 7200, float(rng.normal(0, 0.1)))
+    )
+
+
+def _of_another_block(rng: np.random.Generator, table: Readings) -> Readings:
+    """Return what a block with other scale factors (some per cent) and other zeros (some 10 mV) would give."""
+    signal = table.signal * (1 + rng.normal(0, 0.02, 3)) + rng.normal(0, 0.05, 3)
+    return replace(table, signal=np.round(signal, DECIMALS))
 
 
 def seal(case: Case, answer: Answer) -> dict[str, str]:
@@ -193,7 +222,8 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
     seen = _true_visibility(row, verification=row.kind == SEEN_IN_VERIFICATION)
     match row.kind:
         case "single":
-            return [_next(rng, row, run, seen, list(CATALOGUE), index)]
+            names = [n for n in CATALOGUE if not (row.blocks and n in BLOCK)]
+            return [_next(rng, row, run, seen, names, index)]
         case "own":
             return [_next(rng, row, run, seen, list(OWN), index, OWN)]
         case "pair":

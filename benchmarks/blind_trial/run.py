@@ -39,6 +39,9 @@ from benchmarks.blind_trial.score import (
 from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
 
+MANY_RHO: Final = 2.3
+"""Of each of twenty runs; together 10.3."""
+
 QUIETER_RHO: Final = (5, 6, 8, 10, 15, 20)
 
 RETURNS: Final = ("slip:visit", "rezero:visit")
@@ -75,6 +78,9 @@ FULL: Final[tuple[Row, ...]] = (
     Row("equal_k2", rho=12),
     *(Row("mounting_roll", rho=rho) for rho in (10, 20)),
     *(Row(f"mistake:{name}") for name in MISTAKES),
+    Row("single", rho=MANY_RHO * 20**0.5),
+    *(Row("null", runs=20, blocks=blocks) for blocks in (False, True)),
+    *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks) for blocks in (False, True)),
 )
 SHORT: Final[tuple[Row, ...]] = (
     Row("null", count=60),
@@ -91,6 +97,7 @@ SHORT: Final[tuple[Row, ...]] = (
     *(Row("null", noise=noise, count=10) for noise in NOISES[1:]),
     *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),
     *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
+    *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=4) for blocks in (False, True)),
 )
 
 
@@ -104,7 +111,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--rows", type=int, metavar="N", help="so many cases in each row")
     parser.add_argument("--share", type=float, default=1.0, metavar="S", help="this part of each row's cases")
     parser.add_argument(
-        "--only", metavar="KIND", help="null, single, own, pair, outside, hidden, mistake, ..."
+        "--only", metavar="KIND", help="null, single, own, pair, outside, hidden, mistake, many, ..."
     )
     parser.add_argument("--ties", choices=["signature", "table"], default="signature")
     parser.add_argument("--json", metavar="FILE", help="score and outcomes; - for standard output")
@@ -121,7 +128,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _rows(given: argparse.Namespace) -> list[Row]:
-    rows = [row for row in (SHORT if given.short else FULL) if given.only in (None, row.kind.split(":")[0])]
+    chosen = SHORT if given.short else FULL
+    # of many runs taken together, whatever is hidden in them
+    kinds = {row: "many" if row.runs > 1 else row.kind.split(":")[0] for row in chosen}
+    rows = [row for row in chosen if given.only in (None, kinds[row])]
     if not rows:
         raise SystemExit(f"There is no kind of case called {given.only}.")
     return [replace(row, count=given.rows) for row in rows] if given.rows else of_share(rows, given.share)

@@ -1,0 +1,62 @@
+"""What many runs taken together cost: a diagnosis of so many runs of the blind trial as one body of data.
+
+In each hides the same effect of rho 2.3, which no run shows by itself; of one block, or of a block each. CPU time
+and peak of memory of a process of its own, with its start, the threshold of the design simulated anew; the ratio is
+to one run, diagnosed in the same way. The limits for twenty are a minute and 1 GB:
+
+    python -m benchmarks.many_runs --runs 1 5 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import resource
+import time
+from typing import Final
+
+LIMIT_S: Final = 60.0
+LIMIT_MB: Final = 1000.0
+RHO: Final = 2.3
+SEED: Final = 1
+
+
+def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
+    """Return CPU time, s, peak of memory, MB, and the verdict, of a diagnosis in this very process."""
+    from benchmarks.blind_trial.adapter import diagnose_case
+    from benchmarks.blind_trial.cases import Row, make_case
+
+    row = Row("single", rho=RHO, runs=runs, blocks=blocks)
+    diagnosis = diagnose_case(make_case(SEED, row, 0)[0])
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    return time.process_time(), peak, str(diagnosis["verdict"])
+
+
+def main() -> int:
+    """Print a table; return 1 where twenty runs or fewer take more than the limits."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, nargs="+", default=[1, 5, 20])
+    given = parser.parse_args()
+    context = multiprocessing.get_context("spawn")
+    over = False
+    print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")
+    for blocks in (False, True):
+        first: tuple[float, float] | None = None
+        for runs in given.runs:
+            with context.Pool(1) as pool:
+                seconds, megabytes, verdict = pool.apply(measure, (runs, blocks))
+            first = first or (seconds, megabytes)
+            over = over or (runs <= 20 and (seconds > LIMIT_S or megabytes > LIMIT_MB))
+            of = "a block each" if blocks else "one block"
+            times, larger = seconds / first[0], megabytes / first[1]
+            print(
+                f"{runs:4}  {of:12} {seconds:6.1f}  {times:5.1f}  {megabytes:9.0f}  {larger:6.1f}   {verdict}",
+                flush=True,
+            )
+    return int(over)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
