@@ -66,9 +66,11 @@ def _joined(
         renamed = _new_names(formula, parameters, number if len(chosen) > 1 else 0)
         expressions.append(_with_names(formula.expression, renamed))
         complete = applied.complete_values()
+        # the phase of a wave is nobody's to expect: all sizes of a term are as large as its largest
+        largest = max(float(np.max(np.abs(complete[p.name]))) for p in formula.parameters if not p.is_shape)
         for parameter in formula.parameters:
             new = renamed[parameter.name]
-            parameters[new] = replace(_widened(parameter, complete[parameter.name]), name=new)
+            parameters[new] = replace(_widened(parameter, largest), name=new)
             values[new] = complete[parameter.name]
             if parameter.name in applied.u:
                 u[new] = applied.u[parameter.name]
@@ -97,11 +99,11 @@ def _with_names(expression: str, names: dict[str, str]) -> str:
     return re.sub(r"[A-Za-z_]\w*", lambda word: names.get(word[0], word[0]), expression)
 
 
-def _widened(parameter: Parameter, value: Floats) -> Parameter:
+def _widened(parameter: Parameter, largest: float) -> Parameter:
     """Return the parameter with what is plausible of it now: as large as it was found, a shape about as long."""
     if parameter.is_shape:
         if parameter.name not in WIDENED:
             return parameter
         grid = tuple(parameter.default * times for times in (0.5, 1.0, 2.0))
         return replace(parameter, grid=grid, plausible=max(grid))
-    return replace(parameter, plausible=max(parameter.plausible, float(np.max(np.abs(value)))))
+    return replace(parameter, plausible=max(parameter.plausible, largest))

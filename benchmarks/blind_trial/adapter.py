@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -17,7 +18,7 @@ from bench.analysis.diagnosis.threshold import channel_steps
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.formulas import load_effects
 from bench.files.shipped import find_bench
-from bench.model import CATALOGUE, Effect, ForwardModel
+from bench.model import CATALOGUE, Effect, ForwardModel, Installation
 from benchmarks.blind_trial.cases import Case
 from benchmarks.blind_trial.own_effects import FORMULAS
 
@@ -73,12 +74,16 @@ def _diagnosed(case: Case) -> dict[str, Any]:
     """
     bench, model, stand_u, thresholds = _bench()
     thresholds.key = (f"{case.design}{' own' * case.own}", case.reading_noise_v)
+    if case.stated_psi_deg is not None:
+        stated = Installation.from_axes("V", ("x", "y", "z"), np.radians(case.stated_psi_deg), "z")
+        model = replace(model, installations={**model.installations, "V": stated})
+        thresholds.key = (f"{case.design}, another psi", case.reading_noise_v)
     nominal = np.array(bench.unit_under_test.scale_factors.values)
     found = diagnose(case.readings, model, stand_u, nominal, thresholds)
     points = None
     several = found.linear.readings.block is not None
     if found.verdict == "named" and not several:
-        shown = show(found.mistakes.corrected, model, found.applied, stand_u, LOCAL_GRAVITY)
+        shown = show(found.mistakes.corrected, found.linear.model, found.applied, stand_u, LOCAL_GRAVITY)
         points = {"before": _points(shown.before), "after": _points(shown.after)}
     if several:
         # each block has coefficients of its own

@@ -23,6 +23,7 @@ from benchmarks.blind_trial.effects import (
     STAND,
 )
 from benchmarks.blind_trial.geometry import Floats
+from benchmarks.blind_trial.known import HAND_SET, OTHER_PSI, REPAIRED, common_volts, hand_set, stated_psi_deg
 from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
 from benchmarks.blind_trial.noises import COARSE, draw
 from benchmarks.blind_trial.own_effects import OWN
@@ -50,7 +51,8 @@ TRIES: Final = 5
 class Row:
     """One row of the score table: what is hidden, in which design, how visible, at which noise, how often.
 
-    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS` or mistake:NAME.
+    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS` or `KNOWN` or
+    mistake:NAME.
     `noise_v` is what the bench states, `noise_factor` how many times that the truth is (readings and settings
     alike), `noise` which kind it is of (`NOISES`). A case may be of several `runs` that all have the same effect,
     `rho` in each: of one block, or of a block each (`blocks`).
@@ -82,7 +84,8 @@ class Case:
     """What the diagnosis is given: a table of readings, and the noise that the bench file states (1 σ).
 
     `reading_noise_v` in V, `setting_noise` in rad; with `own` it is given the formulas of the user's own as well.
-    The name says nothing of what is hidden.
+    `stated_psi_deg` is what the bench file says of the verification points, None where it is right. The name says
+    nothing of what is hidden.
     """
 
     id: str
@@ -91,6 +94,7 @@ class Case:
     reading_noise_v: float
     setting_noise: float
     own: bool = False
+    stated_psi_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -152,12 +156,16 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     mistake = (
         MISTAKES[row.kind.removeprefix("mistake:")](rng, run) if row.kind.startswith("mistake:") else None
     )
+    if row.kind == REPAIRED:
+        mistake = MISTAKES["outlier"](rng, run)
     readings = _measure(rng, row, run, truths, mistake)
     if row.runs > 1:
         tables = [readings, *(_measure(rng, row, _run(rng, row), truths, None) for _ in range(1, row.runs))]
         tables = [_of_another_block(rng, table) for table in tables] if row.blocks else tables
         readings = together([JoinedPart(table) for table in tables])
     case = Case(digest.hex()[:12], row.design, readings, row.noise_v, SETTING_SIGMA, row.kind == "own")
+    if row.kind == OTHER_PSI:
+        case = replace(case, stated_psi_deg=stated_psi_deg(rng))
     answer = Answer(case.id, row, index, seed, tuple(_hidden(t, run, row) for t in truths))
     if mistake is not None:
         answer = replace(answer, place=mistake.place, accepted=mistake.names)
@@ -217,11 +225,13 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
         names = [name for name in HIDDEN if not (verified and name == "axis_wobble")]
         name = names[index % len(names)]
         return [HIDDEN[name](rng, run).scaled(HIDDEN_TIMES_PLAUSIBLE)]
+    if row.kind == HAND_SET:
+        return [hand_set(rng, run)]
     if row.rho is None:
         return []
     seen = _true_visibility(row, verification=row.kind == SEEN_IN_VERIFICATION)
     match row.kind:
-        case "single":
+        case "single" | "repaired":
             names = [n for n in CATALOGUE if not (row.blocks and n in BLOCK)]
             return [_next(rng, row, run, seen, names, index)]
         case "own":
@@ -232,6 +242,8 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
             return [first, _next(rng, row, run, seen, others, int(rng.integers(len(others))))]
         case "outside":
             return [_scaled(rng, row, run, seen, OUTSIDE[list(OUTSIDE)[index % len(OUTSIDE)]])]
+        case "common_volts":
+            return [_scaled(rng, row, run, seen, common_volts)]
         case "equal_k2":
             return [_scaled(rng, row, run, seen, _equal_k2)]
         case "mounting_roll":

@@ -105,6 +105,12 @@ DESIGNS: Final[dict[str, Design]] = {
         ),
         input_checks=True,
     ),
+    "six": Design(
+        (
+            tuple(Sweep("1", number, (0, 90, 180, 270)) for number in (1, 2, 3)),
+            tuple(Sweep("2", number, (0, 180)) for number in (1, 2, 3)),
+        )
+    ),
     "unverified": Design((_rising("1"), _rising("2"))),
 }
 """`reordered`: both directions, scan order reversed once, S and R each pass, a third pass turned by 180°."""

@@ -23,6 +23,7 @@ from typing import Final
 
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case, seal
+from benchmarks.blind_trial.known import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPAIRED
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.noises import NOISES
 from benchmarks.blind_trial.page import stored, sums, tables, write
@@ -49,6 +50,13 @@ RETURNS: Final = ("slip:visit", "rezero:visit")
 LARGE_RHO: Final = 600.0
 """A slip of about 10 arcmin out of the plane of rotation, of 1 deg in it."""
 
+KNOWN_ROWS: Final = (
+    Row(OTHER_PSI),
+    Row(COMMON_VOLTS, rho=12),
+    Row(COMMON_VOLTS, "reordered", 12),
+    Row(HAND_SET, "six"),
+    Row(REPAIRED, rho=20),
+)
 FULL: Final[tuple[Row, ...]] = (
     Row("null", count=800),
     Row("null", noise_v=30e-6, count=300),
@@ -78,6 +86,7 @@ FULL: Final[tuple[Row, ...]] = (
     Row("equal_k2", rho=12),
     *(Row("mounting_roll", rho=rho) for rho in (10, 20)),
     *(Row(f"mistake:{name}") for name in MISTAKES),
+    *KNOWN_ROWS,
     Row("single", rho=MANY_RHO * 20**0.5),
     *(Row("null", runs=20, blocks=blocks) for blocks in (False, True)),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks) for blocks in (False, True)),
@@ -97,6 +106,7 @@ SHORT: Final[tuple[Row, ...]] = (
     *(Row("null", noise=noise, count=10) for noise in NOISES[1:]),
     *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),
     *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
+    *(replace(row, count=5) for row in KNOWN_ROWS),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=4) for blocks in (False, True)),
 )
 

@@ -14,6 +14,7 @@ from scipy.stats import binomtest, chi2
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
 from benchmarks.blind_trial.closing import true_closing
 from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
+from benchmarks.blind_trial.known import KNOWN, judge_known
 from benchmarks.blind_trial.outside_effects import WITHOUT_MEAN
 from benchmarks.blind_trial.signals import U0, K
 from benchmarks.blind_trial.slips import SLIPS
@@ -151,6 +152,8 @@ def _judge_kind(
             f"given a single name{apart}": verdict == "named",
         }
         return marks | _judge_form(case, answer, diagnosis)
+    if answer.kind in KNOWN:
+        return judge_known(answer.kind, answer.names, diagnosis)
     if answer.kind in SLIPS:
         return _judge_slip(answer, diagnosis)
     if kind == "pair":

@@ -100,3 +100,14 @@ def test_nothing_is_overwritten_and_a_model_without_terms_is_told(accept, bench)
     status, _, err = bench("accept", "plain.yaml", *NAME)
     assert status == 2
     assert "no term without a name" in err
+
+
+def test_both_phases_of_a_wave_are_as_plausible_as_the_larger(accept):
+    wave = MODEL.replace("A * exp(-time / tau)", "A * cos(angle) + tau * sin(angle)", 1)
+    wave = wave.replace("tau: {grid: [10 min]}", "tau: {plausible: 30 ug}").replace(
+        "tau: 10 min", "tau: 5 ug"
+    )
+    Path("m.yaml").write_text(wave)
+    assert accept(*NAME, "--term", "unnamed_1")[0] == 0
+    (effect,) = load_effects(Path("slow_settling.yaml"))
+    assert [p.plausible for p in effect.parameters] == pytest.approx([90e-6, 90e-6])

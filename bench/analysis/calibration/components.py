@@ -91,8 +91,8 @@ class Shared:
     """A fit that holds what its readings share, the components that were taken in, and the drift if one was.
 
     `covariance` (3n + m, 3n + m) is that of the readings then; None where each is as the noise says. `wander` (3,),
-    unit, is how far each bias may wander about its mean over the run, rms: as found, or as the readings leave open
-    where they ask for no drift; None where it was not searched for.
+    unit, is how far each bias may wander about its mean over the run, rms: as found, widened for its few degrees
+    of freedom, or as the readings leave open where they ask for no drift; None where it was not searched for.
     """
 
     fit: Fit
@@ -154,8 +154,13 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
     if not np.any(theta[base:] > 0):
         return Shared(fit, wander=open_to)
     shared = _shared(problem, fit, own, terms, theta, at, found, base, unit)
-    drifts = np.zeros(3) if shared.drift is None else shared.drift.size
-    return replace(shared, wander=np.where(drifts > 0, drifts, open_to))
+    found_drifts = np.zeros(3)
+    for component in shared.components:
+        if component.what == DRIFT:  # one run has few degrees of freedom of it
+            found_drifts[CHANNELS.index(component.channels)] = component.size * widening(component.dof)
+    wander = np.where(found_drifts > 0, found_drifts, open_to)
+    # one run tells little of a walk, and the three of a block are of one kind: none is below their mean
+    return replace(shared, wander=np.maximum(wander, rms(wander)))
 
 
 def _wander(terms: list[_Term], variances: Floats) -> Floats:

@@ -37,6 +37,7 @@ from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
 from bench.analysis.diagnosis.rounding import digit_of
+from bench.analysis.diagnosis.shapes import beside, with_other_shapes
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden
 from bench.analysis.diagnosis.where import find_places
@@ -79,14 +80,16 @@ def diagnose(
     repeats, grid, limit = looked.repeats, looked.whitened.grid, looked.limit
     registered = register(linear, limit)
     noise = noise_size(whitened, data, naming.columns)
-    fitted = fit_found(linear, candidates, naming, noise)
+    sized = fit_found(linear, candidates, naming, noise)
+    in_part = beside(candidates, naming, sized)
+    fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
     ratio = RATIOS.index(near_ratios(linear, noise)[1])
     sizes = detectable(whitened, limit, ratio)
     unseen = hidden(whitened, limit, ratio, sizes)
     elsewhere = {applied.effect.name for applied in model.effects} | absent.keys()
     measured_rad = linear.moved.angle_rad
-    effects = _effects(candidates, naming, fitted, limit, measured_rad)
+    effects = _effects(candidates, naming, sized, limit, measured_rad)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
@@ -115,6 +118,7 @@ def diagnose(
         candidates=candidates,
         naming=naming,
         fitted=fitted,
+        in_part=in_part,
         noise=noise,
         p_left=p_left,
         findings=findings,
@@ -124,7 +128,7 @@ def diagnose(
             *(finding.words for finding in findings),
             *(kind.words for kind in described),
             *assumed(linear),
-            *common_volts(naming, fitted, linear),
+            *common_volts(naming, sized, linear),
         ),
     )
 

@@ -203,7 +203,7 @@ def _shown(
     """Yield simulation beside bench for each block, with what was found that is of it."""
     readings = diagnosis.mistakes.corrected
     if readings.block is None:
-        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2)
+        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part)
         return
     for number in np.unique(readings.block):
         own = readings.select(readings.block == number)

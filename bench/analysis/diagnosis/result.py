@@ -124,8 +124,9 @@ class Diagnosis:
     of some; `absent` effects of what the bench has not, with the reason; `unseen_per_turn` how often a turn an
     error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
     plausible sizes, that are found in half of all runs. `linear`, `candidates`, `naming`, `fitted` and `noise`
-    are what plots and the report are drawn from; `findings` where that noise is larger than stated, `noise_kinds`
-    in what it is no normal noise of one size.
+    are what plots and the report are drawn from; `in_part` what the effects may have of other shapes, which is in
+    the coefficients' u; `findings` where that noise is larger than stated, `noise_kinds` in what it is no normal
+    noise of one size.
     """
 
     verdict: Verdict
@@ -143,6 +144,7 @@ class Diagnosis:
     candidates: Candidates
     naming: Naming
     fitted: Posterior
+    in_part: tuple[AppliedEffect, ...]
     noise: NoiseSize
     p_left: float
     form: FreeForm | None = None

@@ -134,11 +134,13 @@ def show(
     added: tuple[AppliedEffect, ...],
     stand_u: Mapping[str, float],
     g_m_s2: float,
+    in_part: tuple[AppliedEffect, ...] = (),
 ) -> Shown:
     """Simulate the bench of `readings` with the model and with the `added` effects.
 
     `readings` are those with any mistake put right; `stand_u` as for `diagnose`. What was found in these
-    readings is estimated from them anew, without the u that they gave it. Raises `CalibrationError` where
+    readings is estimated from them anew, without the u that they gave it; what it may have of other shapes,
+    `in_part`, has its prior. Raises `CalibrationError` where
     they do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
@@ -147,7 +149,7 @@ def show(
         return Shown(before, None)
     fresh = tuple(replace(one, u={}) for one in added)
     names = " + ".join(dict.fromkeys(label(one) for one in added))
-    extended = replace(model, effects=(*model.effects, *fresh), name=f"{model.name} + {names}")
+    extended = replace(model, effects=(*model.effects, *fresh, *in_part), name=f"{model.name} + {names}")
     return Shown(before, _simulate(readings, extended, stand, g_m_s2))
 
 
