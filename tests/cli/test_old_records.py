@@ -99,6 +99,7 @@ def test_an_old_record_evaluates_to_what_it_did(bench, recorded):
         for now, then in zip(found.get("points", []), expected.get("points", []), strict=True):
             assert now["delta_g"] == pytest.approx(then["delta_g"], abs=then["u"])
             assert (now["angle_deg"], now["passed"]) == (then["angle_deg"], then["passed"])
+        assert set(expected.pop("notes", [])) <= set(found["notes"])
         expected.pop("coefficients", None)
         same = {name: part for name, part in expected.items() if name not in SINCE}
         assert as_then(comparable(found), same) == comparable(same, within_rounding)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values
 from bench.model.effects.expression import (
@@ -104,17 +104,18 @@ class FormulaEffect(Effect):
         reading = ValueReading({**known, **values}, lambda course, lag: _lagged(course, time_s, lag))
         added = interpret(self.expression, reading)
         shape = (len(seen.conditions), 3) if channels else (len(seen.conditions),)
-        return self._placed(self._finite(np.broadcast_to(added, shape), used, seen.conditions), seen)
+        away = ~np.isfinite(seen.conditions.angle_rad)
+        if used.isdisjoint(OF_THE_HEAD):
+            away &= _unseen(known.values(), len(away))
+        return self._placed(self._finite(np.broadcast_to(added, shape), away), seen)
 
-    def _finite(self, added: Floats, used: frozenset[str], conditions: Conditions) -> Floats:
-        """Return the numbers, zero in readings that have no angle of the head for them."""
+    def _finite(self, added: Floats, away: Mask) -> Floats:
+        """Return the numbers, zero in the readings `away`: without an angle of the head, or of no block at all."""
         bad = ~np.isfinite(added)
         if not bad.any():
             return added
-        if not used.isdisjoint(OF_THE_HEAD):
-            away = ~np.isfinite(conditions.angle_rad)
-            added = np.where(away.reshape(-1, *(1,) * (added.ndim - 1)), 0.0, added)
-            bad = ~np.isfinite(added)
+        added = np.where(away.reshape(-1, *(1,) * (added.ndim - 1)), 0.0, added)
+        bad = ~np.isfinite(added)
         if bad.any():
             row = int(np.flatnonzero(bad.reshape(len(added), -1).any(axis=1))[0])
             raise ExpressionError(
@@ -220,3 +221,12 @@ def _lagged(course: Floats, time_s: Floats, lag: Floats) -> Floats:
 def _unknown_name(name: str, stage: Stage, variables: Mapping[str, Variable]) -> str:
     text = f"'{name}' is neither a parameter nor a variable; at the stage '{stage}' there are"
     return f"{text} {', '.join(variables)}"
+
+
+def _unseen(variables: Iterable[Floats], readings: int) -> Mask:
+    """Return the readings (n,) of which a variable is not known, as `a` of an input that is short."""
+    missing = np.zeros(readings, dtype=bool)
+    for values in variables:
+        if values.ndim and len(values) == readings:
+            missing |= ~np.isfinite(values).reshape(readings, -1).all(axis=1)
+    return missing
