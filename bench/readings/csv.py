@@ -15,6 +15,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.regular import read_given
 from bench.readings.cells import as_cell, of_cell
+from bench.readings.rails import is_of_a_rail
 from bench.readings.table import (
     FREE,
     REFERENCE,
@@ -146,7 +147,7 @@ def _read(
         raise ReadingsError(_listing(bad))
     if not columns.installation:
         raise ReadingsError(f"{path}: no reading in it; expected a header line and a row for each reading")
-    unknown = [name for name in header if name not in known]
+    unknown = [name for name in header if name not in known and not is_of_a_rail(name)]
     notes = (f"columns kept and not used: {', '.join(unknown)}",) if unknown else ()
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
     return replace(table, verification_missing=verification_missing)
@@ -248,6 +249,8 @@ def _row(
         scan_order(text.get(SCAN_ORDER, ""))
     except ValueError as problem:
         raise _BadCell(SCAN_ORDER, str(problem)) from None
+    for name in filter(is_of_a_rail, header):
+        _number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
         row[name] = _number(text, name, "a number with a dot as decimal sign")
         sd = name[:2] + "_sd" + name[2:]
