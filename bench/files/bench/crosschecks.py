@@ -17,6 +17,7 @@ from bench.devices.registry import devices
 from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm, written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
+from bench.files.bench.rail_checks import supply_mistakes
 from bench.readings.table import UNORIENTED
 
 _OVER_RANGE: Final = 1.2
@@ -35,6 +36,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
     yield from _label_mistakes(part(data, "installations"))
     yield from _name_mistakes(data)
     yield from _simulation_mistakes(data)
+    yield from supply_mistakes(data)
 
 
 def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
