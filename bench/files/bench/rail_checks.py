@@ -36,8 +36,8 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
                 yield (*place, key), f"rail {seen[key, value] + 1} {what} '{value}' already"
             seen.setdefault((key, value), index)
         rail = _Rail.of(written)
-        for key, text in _against_block(rail):
-            yield (*place, *key), text
+        for inside, text in _against_block(rail):
+            yield (*place, *inside), text
 
 
 @dataclass(frozen=True)
