@@ -9,6 +9,7 @@ from typing import Any, Literal
 from bench.devices.chambers import ChamberForm, ControlledChamberForm
 from bench.devices.heads import HeadForm, MotorisedHeadForm
 from bench.devices.registry import devices
+from bench.devices.supplies import SupplyForm, WiredSupplyForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
 from bench.files.bench.file import BenchFile
@@ -21,7 +22,7 @@ from drivers.wire.haste import Haste
 from drivers.wire.holding import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 
-Section = VoltmeterForm | HeadForm | ChamberForm
+Section = VoltmeterForm | HeadForm | ChamberForm | SupplyForm
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
         [_driver(meter, given) for meter in sections.voltmeters],
         _driver(sections.head, given),
         None if sections.chamber is None else _driver(sections.chamber, given),
+        None if sections.power_supply is None else _driver(sections.power_supply, given),
     )
 
 
@@ -98,4 +100,6 @@ def _driver(section: Section, given: Surroundings) -> Any:
         return driver(section.name, session, given.clock, Travel(**section.travel()), **options)
     if isinstance(section, ControlledChamberForm):
         return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
+    if isinstance(section, WiredSupplyForm):
+        return driver(section.name, session, given.clock, **options)
     raise TypeError(f"{type(section).__name__} has a wire, but the form of no role")

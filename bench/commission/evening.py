@@ -10,6 +10,7 @@ from bench.commission.finding import Figure, Finding, State
 from bench.commission.wire import WireWatch
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
+from bench.devices.supplies import SupplyForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
 from bench.files.bench.file import BenchFile
@@ -108,7 +109,7 @@ class Evening:
 
     # --- what the bench file says -------------------------------------------------------------------
 
-    def section(self, name: str) -> VoltmeterForm | HeadForm | ChamberForm:
+    def section(self, name: str) -> VoltmeterForm | HeadForm | ChamberForm | SupplyForm:
         """Return the section of an instrument."""
         return next(section for section in self.file.instruments.all() if section.name == name)
 

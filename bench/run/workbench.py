@@ -38,6 +38,7 @@ from drivers.interfaces import (
     LimitExceeded,
     NotConnected,
     Person,
+    PowerSupply,
     Prompt,
     PromptKind,
     ThermalChamber,
@@ -62,11 +63,13 @@ class Instruments:
     voltmeters: Sequence[Voltmeter]
     head: DividingHead
     chamber: ThermalChamber | None = None
+    power_supply: PowerSupply | None = None
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
-        return [*self.voltmeters, self.head, *([self.chamber] if self.chamber else [])]
+        further = (self.chamber, self.power_supply)
+        return [*self.voltmeters, self.head, *(instrument for instrument in further if instrument)]
 
     def open(self) -> dict[str, Identity]:
         """Open everything and return the identities by name. Raises every failure at once."""

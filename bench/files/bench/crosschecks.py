@@ -17,6 +17,7 @@ from bench.devices.registry import devices
 from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm, written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
+from bench.files.bench.rail_checks import supply_mistakes
 from bench.readings.table import UNORIENTED
 
 _OVER_RANGE: Final = 1.2
@@ -35,6 +36,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
     yield from _label_mistakes(part(data, "installations"))
     yield from _name_mistakes(data)
     yield from _simulation_mistakes(data)
+    yield from supply_mistakes(data)
 
 
 def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
@@ -73,7 +75,11 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """Each resource is one instrument."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
-    places += [("the head", ("head",)), ("the chamber", ("chamber",))]
+    places += [
+        ("the head", ("head",)),
+        ("the chamber", ("chamber",)),
+        ("the power supply", ("power_supply",)),
+    ]
     known: dict[object, str] = {}
     for called, inside in places:
         place: Place = ("instruments", *inside, "resource")
@@ -144,7 +150,7 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """What is said of a simulated head or chamber is there to be simulated."""
+    """What is said of a simulated head, chamber or power supply is there to be simulated."""
     accuracy: Place = ("simulation", "voltmeter", "accuracy")
     if part(data, *accuracy) == CERTIFICATE:
         meters = enumerate(_items(part(data, "instruments", "voltmeters")), start=1)
@@ -152,7 +158,7 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if without:
             text = f"voltmeter {', '.join(without)} has no certificate whose errors it could have"
             yield accuracy, text
-    roles: tuple[Role, ...] = ("head", "chamber")
+    roles: tuple[Role, ...] = ("head", "chamber", "power_supply")
     for role in roles:
         stated = part(data, "simulation", role)
         section = part(data, "instruments", role)
@@ -163,7 +169,8 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if driver not in able:
             there = "none" if driver is None else driver
             text = (
-                f"only a {role} of the driver {' or '.join(able)} has this, and this bench has {there}; "
+                f"only a {role.replace('_', ' ')} of the driver {' or '.join(able)} has this, "
+                f"and this bench has {there}; "
                 "leave it out"
             )
             yield ("simulation", role), text

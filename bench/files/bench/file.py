@@ -220,5 +220,5 @@ def foreign_drivers(bench: BenchFile) -> dict[str, str]:
 
 def _sections_of(data: Any) -> list[Any]:
     meters = part(data, "instruments", "voltmeters")
-    sections = [part(data, "instruments", role) for role in ("head", "chamber")]
+    sections = [part(data, "instruments", role) for role in ("head", "chamber", "power_supply")]
     return [*(meters if isinstance(meters, list) else []), *sections]

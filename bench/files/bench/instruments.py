@@ -12,7 +12,9 @@ from bench.base.forms import FileModel
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
 from bench.devices.registry import chosen_by_driver
+from bench.devices.supplies import SupplyForm
 from bench.devices.voltmeters import VoltmeterForm
+from bench.devices.wires import WiredForm
 
 
 class InstrumentsSection(FileModel):
@@ -24,18 +26,21 @@ class InstrumentsSection(FileModel):
     ]
     head: Annotated[HeadForm, chosen_by_driver("head")]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber")] = None
+    power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply")] = None
 
-    def all(self) -> Iterator[VoltmeterForm | HeadForm | ChamberForm]:
-        """Yield the section of every instrument: voltmeters, head, chamber."""
+    def all(self) -> Iterator[VoltmeterForm | HeadForm | ChamberForm | SupplyForm]:
+        """Yield the section of every instrument: voltmeters, head, chamber, power supply."""
         yield from self.voltmeters
         yield self.head
         if self.chamber is not None:
             yield self.chamber
+        if self.power_supply is not None:
+            yield self.power_supply
 
     @property
     def adapters(self) -> dict[str, str]:
         """The GPIB adapters, by the address of each its name on the bench: "adapter", "adapter.2" …."""
-        places = [meter.place for meter in self.voltmeters]
+        places = [section.place for section in self.all() if isinstance(section, WiredForm)]
         known = dict.fromkeys(place.adapter for place in places if place is not None)
         return {
             address: "adapter" if number == 1 else f"adapter.{number}"
@@ -57,3 +62,4 @@ class RecordedInstruments(InstrumentsSection):
     ]
     head: Annotated[HeadForm, chosen_by_driver("head", recorded=True)]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber", recorded=True)] = None
+    power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply", recorded=True)] = None

@@ -12,11 +12,12 @@ from bench.base.arrays import ARCSEC, CHANNELS
 from bench.devices.certificates import Certificate, ChamberCertificate, HeadCertificate
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
+from bench.devices.supplies import SupplyForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import BenchFile
 from bench.readings.corrected import Corrections
 
-Section = VoltmeterForm | HeadForm | ChamberForm
+Section = VoltmeterForm | HeadForm | ChamberForm | SupplyForm
 
 _MICRO: Final = 1e-6
 
