@@ -42,8 +42,8 @@ class Conditions:
     installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
     the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
     (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. Of the supply,
-    `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v` (n, rails)
-    the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
+    `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v`
+    (n, rails) the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
     """
 
     mounts: tuple[Mounting, ...]

@@ -351,6 +351,7 @@ class World(KeyedNumbers):
             self.block_c_at(time_s),
             self._scan(pose),
             None if on_since_s is None else time_s - on_since_s,
+            self.power.above_nominal_v(self._past_s(time_s)),
         )
 
     def _past_s(self, time_s: float) -> float:
