@@ -147,8 +147,8 @@ def _read(
         raise ReadingsError(_listing(bad))
     if not columns.installation:
         raise ReadingsError(f"{path}: no reading in it; expected a header line and a row for each reading")
-    unknown = [name for name in header if name not in known and not is_of_a_rail(name)]
-    notes = (f"columns kept and not used: {', '.join(unknown)}",) if unknown else ()
+    unknown = ", ".join(name for name in header if name not in known and not is_of_a_rail(name))
+    notes = (f"columns kept and not used: {unknown}",) if unknown else ()
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
     return replace(table, verification_missing=verification_missing)
 
@@ -190,7 +190,7 @@ def split_table(
 
 def _without_empty_end(cells: list[str], least: int) -> list[str]:
     """Return the cells without empty ones beyond the first `least`: spreadsheets pad lines with commas."""
-    while len(cells) > least and cells[-1].strip() == "":
+    while len(cells) > least and not cells[-1].strip():
         cells = cells[:-1]
     return cells
 
@@ -252,8 +252,10 @@ def _row(
     for name in filter(is_of_a_rail, header):
         _number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
-        row[name] = _number(text, name, "a number with a dot as decimal sign")
-        sd = name[:2] + "_sd" + name[2:]
+        row[name], sd = (
+            _number(text, name, "a number with a dot as decimal sign"),
+            name[:2] + "_sd" + name[2:],
+        )
         row[sd] = _number(text, sd, "a standard deviation", optional=True)
     return row
 
