@@ -18,6 +18,10 @@ CHANNELS: tuple[Channel, Channel, Channel] = ("x", "y", "z")
 Direction = Literal[1, -1]
 """Approach to an angle: +1 rising, -1 falling."""
 
+LevelAxis = Literal["along", "across"]
+"""Along the shaft, positive where the end is the higher one that is away from whoever looks at the end of the
+shaft; across it, positive where the end to the right is."""
+
 
 # --- errors -----------------------------------------------------------------------------------------
 
@@ -123,13 +127,47 @@ class HandleCable(TypedDict):
     plugged: bool
 
 
+class PlaceLevel(TypedDict):
+    """Put the level on the platform in its first position, or `turned` by half a turn from it."""
+
+    do: Literal["place_level"]
+    turned: bool
+
+
+class ReadLevel(TypedDict):
+    """Put a level on the platform along the shaft or across it, and read its bubble."""
+
+    do: Literal["read_level"]
+    axis: LevelAxis
+    turned: bool
+    division_rad: float
+
+
+class LevelPlatform(TypedDict):
+    """Level the platform, before the block is mounted in an installation for the `series`-th time."""
+
+    do: Literal["level_platform"]
+    installation: str
+    series: int
+
+
 class Say(TypedDict):
     """Read the chamber's thermometer, answer, see that the way is clear, or wait: nothing is changed."""
 
     do: Literal["read_temperature", "answer", "ask", "wait", "stand_clear"]
 
 
-Action = MountBlock | TurnHead | SetChamber | SwitchInputs | HandleCable | Say
+Action = (
+    MountBlock
+    | TurnHead
+    | SetChamber
+    | SwitchInputs
+    | HandleCable
+    | PlaceLevel
+    | ReadLevel
+    | LevelPlatform
+    | Say
+)
 """What a prompt asks a person to do, for one that is a program."""
 
 
@@ -332,5 +370,46 @@ class ThermalChamber(Instrument, Protocol):
 
         While it is `settling` it may still be far from what was demanded; else that is an error where the
         bench file states a band. Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Inclination:
+    """What a level shows, its own zero included, rad; the signs are those of `LevelAxis`."""
+
+    along_rad: float
+    across_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class LevelSizes:
+    """How exact a level is: standard uncertainties of one reading (rad), of its scale, and of what it leaks.
+
+    `cross` is the part of the inclination about the other axis that a reading may hold: axes that are not where
+    they should be, a half turn that is none.
+    """
+
+    reading_rad: float
+    scale: float
+    cross: float
+
+
+@runtime_checkable
+class Level(Instrument, Protocol):
+    """A level of two axes on the platform; its own zero is not known."""
+
+    asks_person: bool
+    """Whether a person reads it, and is told by it how to place it; else a person is only to place it."""
+
+    @property
+    def sizes(self) -> LevelSizes:
+        """How exact it is."""
+        ...
+
+    def inclination(self, key: str, *, turned: bool) -> Inclination:
+        """Return what it shows at rest in its first position, or `turned` half a turn from it, with its own signs.
+
+        Raises `BadReading` for what is out of its range, `InstrumentRefused`, `InstrumentLost`, `NoAnswer`.
         """
         ...

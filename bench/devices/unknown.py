@@ -11,6 +11,7 @@ from bench.devices.certificates import VoltmeterCertificate
 from bench.devices.chambers import ChamberForm, SizeK
 from bench.devices.device import DeviceSection, Role
 from bench.devices.heads import HeadForm
+from bench.devices.levels import LevelForm
 from bench.devices.voltmeters import VoltmeterForm, VoltmeterKind
 from drivers.interfaces import BenchError, Channel
 
@@ -69,10 +70,17 @@ class UnknownChamber(ChamberForm):
     band: SizeK | None = None
 
 
+class UnknownLevel(LevelForm):
+    """A level of which nothing is known."""
+
+    model_config = KEPT
+
+
 OF_ROLE: Final[dict[Role, type[DeviceSection]]] = {
     "voltmeter": UnknownVoltmeter,
     "head": UnknownHead,
     "chamber": UnknownChamber,
+    "level": UnknownLevel,
 }
 
 

@@ -18,6 +18,7 @@ _ROLES: Final[dict[Role, str]] = {
     "voltmeter": "Voltmeters",
     "head": "Dividing heads",
     "chamber": "Thermal chambers",
+    "level": "Levels",
 }
 _RESOURCES: Final = (
     ("GPIB", "GPIB"),

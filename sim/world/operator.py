@@ -77,6 +77,19 @@ class ScriptedOperator:
             self._pass_time(self._settings.task_time_s)
             self._world.select_input(action["source"], action.get("reference_v"))
             text = _confirmation(prompt)
+        elif action["do"] == "place_level":
+            self._pass_time(self._settings.task_time_s)
+            self._world.place_level(turned=action["turned"])
+            text = _confirmation(prompt)
+        elif action["do"] == "read_level":
+            self._pass_time(self._settings.task_time_s)
+            self._world.place_level(turned=action["turned"])
+            divisions = self._world.level_shows_rad(action["axis"]) / action["division_rad"]
+            text = f"{divisions:.1f}"
+        elif action["do"] == "level_platform":
+            self._pass_time(self._settings.mount_time_s)
+            self._world.level_platform(action["installation"], action["series"])
+            text = _confirmation(prompt)
         else:
             text = _default(prompt)
         return Answer(prompt.id, text)

@@ -11,8 +11,11 @@ from bench.base.arrays import CHANNELS
 from bench.base.forms import FileModel
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
+from bench.devices.levels import LevelForm
 from bench.devices.registry import chosen_by_driver
 from bench.devices.voltmeters import VoltmeterForm
+
+InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm
 
 
 class InstrumentsSection(FileModel):
@@ -24,13 +27,15 @@ class InstrumentsSection(FileModel):
     ]
     head: Annotated[HeadForm, chosen_by_driver("head")]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber")] = None
+    level: Annotated[LevelForm | None, chosen_by_driver("level")] = None
 
-    def all(self) -> Iterator[VoltmeterForm | HeadForm | ChamberForm]:
-        """Yield the section of every instrument: voltmeters, head, chamber."""
+    def all(self) -> Iterator[InstrumentForm]:
+        """Yield the section of every instrument: voltmeters, head, and what else there is."""
         yield from self.voltmeters
         yield self.head
-        if self.chamber is not None:
-            yield self.chamber
+        for further in (self.chamber, self.level):
+            if further is not None:
+                yield further
 
     @property
     def adapters(self) -> dict[str, str]:
@@ -57,3 +62,4 @@ class RecordedInstruments(InstrumentsSection):
     ]
     head: Annotated[HeadForm, chosen_by_driver("head", recorded=True)]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber", recorded=True)] = None
+    level: Annotated[LevelForm | None, chosen_by_driver("level", recorded=True)] = None
