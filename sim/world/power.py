@@ -135,7 +135,8 @@ class Power:
     """The outputs of the supply and the rails of the block; `block_c` gives the block's temperature at a time.
 
     A supply changes its outputs with `change`, reads them with `stage` and `shown`; `returned` is called when the
-    mains come back. All times are those of the world's clock. May be called from any thread.
+    mains come back; with `one_switch` its outputs are switched together. All times
+    are those of the world's clock. May be called from any thread.
     """
 
     def __init__(
@@ -148,6 +149,7 @@ class Power:
         self.settings = settings
         self._lock = lock
         self.violations: list[Violation] = []
+        self.one_switch = False
         self.returned: Callable[[float], None] = lambda now_s: None
         self._block_c = block_c
         self._reached_s = now_s
@@ -173,7 +175,8 @@ class Power:
         fed = [name for name, output in self._outputs.items() if output.rails]
         if disturbance.output and disturbance.output not in fed:
             raise ValueError(f"no rail is fed by an output {disturbance.output}; those are {', '.join(fed)}")
-        names = [disturbance.output] if disturbance.output else fed
+        together = not disturbance.output or (disturbance.kind == "off" and self.one_switch)
+        names = fed if together else [disturbance.output]
         begin, end = disturbance.at_s, disturbance.at_s + disturbance.lasts_s
         undisturbed: dict[str, dict[str, object]] = {
             "sag": {"sag": 0.0},
