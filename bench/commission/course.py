@@ -58,8 +58,8 @@ def _tell_twins(evening: Evening) -> None:
 PARTS: Final = (
     Part(
         "limits",
-        "What lies beyond the limits of head, chamber and power supply is demanded while no wire is open: it must be "
-        "refused. "
+        "What lies beyond the limits of head, chamber and power supply is demanded while no wire is open: "
+        "it must be refused. "
         "Nothing can move.",
         _limits,
     ),
