@@ -11,7 +11,6 @@ from bench.commission.evening import Evening
 from bench.commission.finding import Figure, Finding, State
 from bench.commission.meters import quick
 from bench.devices.wires import WiredForm
-from bench.devices.wires import WiredForm
 from drivers.interfaces import BenchError, Instrument, PowerSupply, ThermalChamber, Voltmeter
 
 CABLE: Final = "cable pulled"
