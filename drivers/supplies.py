@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 NUMBER: Final = r"[+-]?\d{1,3}(?:\.\d{1,8})?(?:E[+-]\d{1,3})?"
 """A voltage or a current as supplies print it."""
 
+SWITCHING_S: Final = 0.5
+"""After switching the unit is left alone for so long: its in-rush is over, an output without load is discharged."""
+
 _ERRORS_ASKED: Final = 32
 """More than any queue holds."""
 
@@ -43,6 +46,7 @@ class WiredSupply(ABC):
         self.outputs = tuple(limits.outputs)
         self._limits = limits
         self._wire = session
+        self._clock = clock
         self._session = ProvedSession(session, clock, self._prove)
         self._identity = Identity("", "")
         self._set: dict[str, OutputSettings] = {}
@@ -104,6 +108,7 @@ class WiredSupply(ABC):
         if on:
             self._refuse_not_set_up(output, before)
         self._switch(output, on)
+        self._clock.sleep(SWITCHING_S)
         after = self._states()
         self._refuse_tripped(after, [output])
         if after[output].on != on:

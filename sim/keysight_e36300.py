@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sim.scpi.values import CommandParameter, Value
-    from sim.world.power import Stage
+    from sim.world.rails import Stage
     from sim.world.world import World
 
 _LEVEL: Final = "[:LEVel][:IMMediate][:AMPLitude]"
@@ -177,7 +177,7 @@ class KeysightE36300(ScpiInstrument):
         self._outputs.change(name, trip_v=self._of(name, "over_voltage_v", value, highest_v))
 
     def _of(self, name: str, what: str, value: Value, default: float) -> float:
-        near, far = sorted(self._outputs.limits[name][what], key=abs)
+        near, far = self._outputs.span(name, what)
         if isinstance(value, str):
             return {MIN: near, MAX: far, DEF: default}[value]
         return within(value, min(near, far), max(near, far))

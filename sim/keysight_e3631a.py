@@ -174,7 +174,7 @@ class KeysightE3631A(ScpiInstrument):
 
     def _of(self, name: str, what: str, value: Value) -> float:
         """Return a setting of an output, of a number or a word. Raises `ScpiError` -222 beyond its range."""
-        near, far = sorted(self._outputs.limits[name][what], key=abs)
+        near, far = self._outputs.span(name, what)
         if isinstance(value, str):
             default = 0.0 if what == "voltage_v" else facts.DEFAULT_CURRENT_A[name]
             return {MIN: near, MAX: far, DEF: default}[value]

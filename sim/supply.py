@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.world.power import Shown, Stage
+    from sim.world.rails import Shown, Stage
     from sim.world.world import World
 
 
@@ -45,6 +45,11 @@ class Outputs:
     def _now_s(self) -> float:
         """The time at which things are done: that of the mains' return while that is under way."""
         return self._world.clock.now_s() if self._back_s is None else self._back_s
+
+    def span(self, name: str, what: str) -> tuple[float, float]:
+        """Return the nearest to zero and the farthest of what an output may be set to."""
+        low, high = sorted((float(value) for value in self.limits[name][what]), key=abs)
+        return low, high
 
     def stage(self, name: str) -> Stage:
         """Return how an output is set and switched now."""
