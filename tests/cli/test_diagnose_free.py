@@ -73,18 +73,6 @@ def test_what_is_gone_or_was_found_in_these_is_no_proof(bench, named):
     assert "found in these very readings" in err
 
 
-def test_a_model_that_needs_a_head_is_refused_by_name(bench):
-    Path("play.yaml").write_text(
-        "model_file: 1\nname: play\neffects:\n"
-        "  - {name: hysteresis, channels: [x], parameters: {size: {x: 10 ug}}}\n",
-        encoding="utf-8",
-    )
-    status, _, err = bench("diagnose", measured("some.csv", 4), "--model", "play.yaml")
-    assert status == 2
-    assert "model play: an effect in it needs what free positions lack" in err
-    assert "Traceback" not in err
-
-
 def test_the_copy_without_what_stands_apart_is_searched_to_the_same_end(bench):
     measured("moved.csv", 5, moved=7)
     status, out, _ = bench("diagnose", "moved.csv", "--json", "m.json", "--out", "there")
