@@ -13,6 +13,7 @@ from drivers.clock import Clock
 from sim.bench import SimulatedMeter
 from sim.wires.faults import Fault
 from sim.wires.session import Dialect
+from sim.world.levelling import LevelSettings
 from sim.world.operator import OperatorSettings
 from sim.world.world import World, WorldSettings
 
@@ -29,6 +30,9 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
         chamber_rate_c_s=truth.chamber.rate,
         chamber_lag_s=truth.chamber.lag,
         chamber_off_lag_s=truth.chamber.off_lag,
+        level=LevelSettings(
+            truth.level.zero_along, truth.level.zero_across, truth.level.noise, truth.level.scale
+        ),
     )
     return World(settings, clock)
 
@@ -65,11 +69,11 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
 
 
 def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
-    """Return by the name of each GPIB adapter the meters behind it with their addresses."""
+    """Return by the name of each GPIB adapter the instruments behind it with their addresses."""
     buses: dict[str, dict[str, int]] = {name: {} for name in bench.instruments.adapters.values()}
-    for meter in bench.instruments.voltmeters:
-        if meter.place is not None:
-            buses[bench.instruments.adapters[meter.place.adapter]][meter.name] = meter.place.address
+    for section in bench.instruments.all():
+        if isinstance(section, WiredForm) and section.place is not None:
+            buses[bench.instruments.adapters[section.place.adapter]][section.name] = section.place.address
     return buses
 
 

@@ -35,9 +35,11 @@ from drivers.interfaces import (
     HeadPosition,
     Identity,
     Instrument,
+    Level,
     LimitExceeded,
     NotConnected,
     Person,
+    PowerSupply,
     Prompt,
     PromptKind,
     ThermalChamber,
@@ -62,11 +64,14 @@ class Instruments:
     voltmeters: Sequence[Voltmeter]
     head: DividingHead
     chamber: ThermalChamber | None = None
+    level: Level | None = None
+    power_supply: PowerSupply | None = None
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
-        return [*self.voltmeters, self.head, *([self.chamber] if self.chamber else [])]
+        further = (self.chamber, self.level, self.power_supply)
+        return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
 
     def open(self) -> dict[str, Identity]:
         """Open everything and return the identities by name. Raises every failure at once."""
