@@ -364,8 +364,7 @@ class World(KeyedNumbers):
         if model.needs_history:
             before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
         visits = [*before, self._visit(pose, time_s)]
-        signals: Floats = readings_of(visits, model, self.settings.block)[-1]
-        return signals
+        return np.asarray(readings_of(visits, model, self.settings.block)[-1])
 
     def _visit(self, pose: Pose, time_s: float) -> Visit:
         on_since_s = self.power.on_since_s(self._past_s(time_s))
@@ -376,6 +375,7 @@ class World(KeyedNumbers):
             self.block_c_at(time_s),
             self._scan(pose),
             None if on_since_s is None else time_s - on_since_s,
+            self.power.above_nominal_v(self._past_s(time_s)),
         )
 
     def _past_s(self, time_s: float) -> float:
