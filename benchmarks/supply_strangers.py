@@ -68,7 +68,10 @@ def scpi_errors(ask: Callable[[str], str]) -> list[str]:
 
 
 def pymeasure_e3631a(resource: str, line_end: str) -> Exchange:
-    """Every property of pymeasure.instruments.keysight.KeysightE3631A."""
+    """Every property of pymeasure.instruments.keysight.KeysightE3631A but the switches of single outputs.
+
+    It sends these with a channel list, which an E3631A does not know: it has one switch.
+    """
     supply = of_pymeasure("KeysightE3631A", resource, line_end)
     if resource.startswith("ASRL"):
         supply.write("SYST:REM")
@@ -81,8 +84,10 @@ def pymeasure_e3631a(resource: str, line_end: str) -> Exchange:
         put(exchange, supply.channels[channel], "current_limit", 0.25)
     put(exchange, supply, "output_enabled", True)
     for channel, volts in ((1, 5.0), (2, 15.0), (3, -15.0)):
-        exchange.check(f"voltage {channel}", lambda ch=channel: supply.channels[ch].voltage, near(volts))
-        exchange.check(f"current {channel}", lambda ch=channel: supply.channels[ch].current, number)
+        exchange.check(
+            f"voltage {channel}", partial(getattr, supply.channels[channel], "voltage"), near(volts)
+        )
+        exchange.check(f"current {channel}", partial(getattr, supply.channels[channel], "current"), number)
     put(exchange, supply, "output_enabled", False)
     exchange.check("voltage off", lambda: supply.ch_2.voltage, near(0.0))
     return exchange
@@ -98,8 +103,8 @@ def pymeasure_e36312a(resource: str, line_end: str) -> Exchange:
         put(exchange, channel, "voltage_setpoint", volts)
         put(exchange, channel, "current_limit", 0.25)
         put(exchange, channel, "output_enabled", True)
-        exchange.check(f"voltage {number_}", lambda ch=channel: ch.voltage, near(volts))
-        exchange.check(f"current {number_}", lambda ch=channel: ch.current, number)
+        exchange.check(f"voltage {number_}", partial(getattr, channel, "voltage"), near(volts))
+        exchange.check(f"current {number_}", partial(getattr, channel, "current"), number)
         put(exchange, channel, "output_enabled", False)
     return exchange
 
@@ -122,11 +127,11 @@ def pymeasure_pl303(resource: str, line_end: str) -> Exchange:
         put(exchange, channel, "voltage_setpoint", volts)
         put(exchange, channel, "current_limit", 0.25)
         put(exchange, channel, "output_enabled", True)
-        exchange.check("voltage", lambda ch=channel: ch.voltage, near(volts))
-        exchange.check("current", lambda ch=channel: ch.current, number)
+        exchange.check("voltage", partial(getattr, channel, "voltage"), near(volts))
+        exchange.check("current", partial(getattr, channel, "current"), number)
         put(exchange, channel, "output_enabled", False)
     for on in (True, False):
-        exchange.check(f"all {on}", lambda on=on: setattr(supply, "all_outputs_enabled", on), lambda _: True)
+        exchange.check(f"all {on}", partial(setattr, supply, "all_outputs_enabled", on), lambda _: True)
         exchange.check("output", lambda: supply.ch_1.output_enabled, same(on))
     exchange.check("local", supply.local, same(None))
     return exchange
@@ -143,16 +148,16 @@ def dcps_pl303(resource: str, line_end: str) -> Exchange:
     supply.open()
     exchange = Exchange(partial(tti_errors, supply._instQuery))
     for channel, volts in ((1, 5.0), (2, 24.0)):
-        exchange.check("setVoltage", lambda ch=channel, v=volts: supply.setVoltage(v, ch), same(None))
-        exchange.check("queryVoltage", lambda ch=channel: supply.queryVoltage(ch), near(volts))
-        exchange.check("setCurrent", lambda ch=channel: supply.setCurrent(0.25, ch), same(None))
-        exchange.check("queryCurrent", lambda ch=channel: supply.queryCurrent(ch), near(0.25))
-        exchange.check("outputOn", lambda ch=channel: supply.outputOn(ch), same(None))
-        exchange.check("isOutputOn", lambda ch=channel: supply.isOutputOn(ch), same(True))
-        exchange.check("measureVoltage", lambda ch=channel: supply.measureVoltage(ch), near(volts))
-        exchange.check("measureCurrent", lambda ch=channel: supply.measureCurrent(ch), number)
-        exchange.check("outputOff", lambda ch=channel: supply.outputOff(ch), same(None))
-        exchange.check("isOutputOn", lambda ch=channel: supply.isOutputOn(ch), same(False))
+        exchange.check("setVoltage", partial(supply.setVoltage, volts, channel), same(None))
+        exchange.check("queryVoltage", partial(supply.queryVoltage, channel), near(volts))
+        exchange.check("setCurrent", partial(supply.setCurrent, 0.25, channel), same(None))
+        exchange.check("queryCurrent", partial(supply.queryCurrent, channel), near(0.25))
+        exchange.check("outputOn", partial(supply.outputOn, channel), same(None))
+        exchange.check("isOutputOn", partial(supply.isOutputOn, channel), same(True))
+        exchange.check("measureVoltage", partial(supply.measureVoltage, channel), near(volts))
+        exchange.check("measureCurrent", partial(supply.measureCurrent, channel), number)
+        exchange.check("outputOff", partial(supply.outputOff, channel), same(None))
+        exchange.check("isOutputOn", partial(supply.isOutputOn, channel), same(False))
     for action in ("outputOnAll", "outputOffAll", "setRemote", "setLocal"):
         exchange.check(action, getattr(supply, action), same(None))
     return exchange
