@@ -39,7 +39,7 @@ def test_a_rail_sags_for_a_while():
 
 
 def test_mistakes_are_told():
-    world, of = control(Rail("p15", "+", 15.0, (12.0, 18.0), (-0.5, 18.0), 0.06, 0.2))
+    _, of = control(Rail("p15", "+", 15.0, (12.0, 18.0), (-0.5, 18.0), 0.06, 0.2))
     assert "sag" in str(told(of, "rail")["error"])
     assert "no rail" in str(told(of, "rail off P25V")["error"])
     assert "no supply" in str(told(control()[1], "rail off")["error"])
