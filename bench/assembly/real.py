@@ -10,6 +10,7 @@ from bench.devices.chambers import ControlledChamberForm
 from bench.devices.heads import MotorisedHeadForm
 from bench.devices.levels import LevelForm
 from bench.devices.registry import devices
+from bench.devices.supplies import WiredSupplyForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
 from bench.files.bench.file import BenchFile
@@ -71,6 +72,7 @@ def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
         _driver(sections.head, given),
         None if sections.chamber is None else _driver(sections.chamber, given),
         None if sections.level is None else _driver(sections.level, given),
+        None if sections.power_supply is None else _driver(sections.power_supply, given),
     )
 
 
@@ -100,6 +102,6 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
         return driver(section.name, session, given.clock, Travel(**section.travel()), **options)
     if isinstance(section, ControlledChamberForm):
         return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
-    if isinstance(section, LevelForm):
+    if isinstance(section, WiredSupplyForm | LevelForm):
         return driver(section.name, session, given.clock, **options)
     raise TypeError(f"{type(section).__name__} has a wire, but the form of no role")

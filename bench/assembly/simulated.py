@@ -69,11 +69,11 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
 
 
 def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
-    """Return by the name of each GPIB adapter the meters behind it with their addresses."""
+    """Return by the name of each GPIB adapter the instruments behind it with their addresses."""
     buses: dict[str, dict[str, int]] = {name: {} for name in bench.instruments.adapters.values()}
-    for meter in bench.instruments.voltmeters:
-        if meter.place is not None:
-            buses[bench.instruments.adapters[meter.place.adapter]][meter.name] = meter.place.address
+    for section in bench.instruments.all():
+        if isinstance(section, WiredForm) and section.place is not None:
+            buses[bench.instruments.adapters[section.place.adapter]][section.name] = section.place.address
     return buses
 
 

@@ -1,4 +1,4 @@
-"""A head, a chamber and a level that a person works."""
+"""A head, a chamber, a level and a power supply that a person works."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from bench.base.units import Ratio, SizeRad, TemperatureC
+from bench.base.forms import FileModel
+from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV
 from bench.devices.chambers import ChamberForm
 from bench.devices.device import Device
 from bench.devices.heads import HeadForm
 from bench.devices.levels import LevelForm
+from bench.devices.supplies import OF_THE_UNIT, SupplyForm
+from drivers.interfaces import OutputLimits, SupplyLimits
 
 
 class ManualHeadSection(HeadForm):
@@ -91,6 +94,70 @@ class ManualLevelSection(LevelForm):
         }
 
 
+class ManualOutput(FileModel):
+    """An output of a supply: its voltages, its highest current, the last digits of its display.
+
+    `over_voltage` is the highest setting of its over-voltage protection, left out where it has none.
+    """
+
+    minimum: VoltageV = 0.0
+    maximum: VoltageV
+    current: SizeA
+    over_voltage: VoltageV | None = None
+    voltage_digit: VoltageV = 0.01
+    current_digit: SizeA = 0.001
+
+    @model_validator(mode="after")
+    def _can_be_set(self) -> ManualOutput:
+        if self.minimum >= self.maximum:
+            raise ValueError(f"the minimum {self.minimum:g} V is not below the maximum {self.maximum:g} V")
+        if self.current == 0.0 or self.voltage_digit <= 0.0 or self.current_digit == 0.0:
+            raise ValueError("expected more than nothing: an output gives a current, a display has digits")
+        return self
+
+    def limits(self) -> OutputLimits:
+        """Return what the output can do."""
+        highest_v = self.over_voltage
+        protection_v = None if highest_v is None else (min(0.0, highest_v), max(0.0, highest_v))
+        return OutputLimits(
+            (self.minimum, self.maximum),
+            (0.0, self.current),
+            self.voltage_digit,
+            self.current_digit,
+            protection_v,
+            self.voltage_digit,
+        )
+
+
+class ManualSupplySection(SupplyForm):
+    """A power supply that a person sets, reads and switches; `outputs` by the names on its front panel.
+
+    What an output gives may be `tolerance` from what it is set to.
+    """
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-supply"]
+    outputs: Annotated[dict[str, ManualOutput], Field(min_length=1)]
+    tolerance: VoltageV = 0.1
+
+    @field_validator("tolerance")
+    @classmethod
+    def _more_than_nothing(cls, tolerance_v: float) -> float:
+        if tolerance_v <= 0.0:
+            raise ValueError("expected more than nothing: no output is exact")
+        return tolerance_v
+
+    @property
+    def limits(self) -> SupplyLimits:
+        """What its outputs can do."""
+        return SupplyLimits({name: output.limits() for name, output in self.outputs.items()})
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return what it can do, and how far what it gives may be from that."""
+        return {"limits": self.limits, "tolerance_v": self.tolerance}
+
+
 DEVICE = (
     Device(
         "manual-head",
@@ -115,6 +182,20 @@ DEVICE = (
         simulation=None,
         example={"division": "5 arcsec"},
         simulated=("zero_along", "zero_across", "noise", "scale"),
+        place=0,
+    ),
+    Device(
+        "manual-supply",
+        ManualSupplySection,
+        driver="drivers.manual.supply:ManualSupply",
+        simulation=None,
+        example={
+            "outputs": {
+                "+": {"maximum": "30 V", "current": "3 A", "over_voltage": "33 V"},
+                "-": {"minimum": "-30 V", "maximum": "0 V", "current": "3 A", "over_voltage": "-33 V"},
+            }
+        },
+        simulated=OF_THE_UNIT,
         place=0,
     ),
 )

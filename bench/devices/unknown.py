@@ -12,8 +12,9 @@ from bench.devices.chambers import ChamberForm, SizeK
 from bench.devices.device import DeviceSection, Role
 from bench.devices.heads import HeadForm
 from bench.devices.levels import LevelForm
+from bench.devices.supplies import SupplyForm
 from bench.devices.voltmeters import VoltmeterForm, VoltmeterKind
-from drivers.interfaces import BenchError, Channel
+from drivers.interfaces import BenchError, Channel, SupplyLimits
 
 KEPT: Final = ConfigDict(extra="allow")
 
@@ -76,11 +77,23 @@ class UnknownLevel(LevelForm):
     model_config = KEPT
 
 
+class UnknownSupply(SupplyForm):
+    """A power supply of which nothing is known."""
+
+    model_config = KEPT
+
+    @property
+    def limits(self) -> SupplyLimits | None:
+        """Return None: what it can do, nobody here knows."""
+        return None
+
+
 OF_ROLE: Final[dict[Role, type[DeviceSection]]] = {
     "voltmeter": UnknownVoltmeter,
     "head": UnknownHead,
     "chamber": UnknownChamber,
     "level": UnknownLevel,
+    "power_supply": UnknownSupply,
 }
 
 

@@ -43,7 +43,7 @@ def is_serial(resource: str) -> bool:
     return resource.startswith("ASRL")
 
 
-def meter_resource(resource: str) -> str:
+def any_resource(resource: str) -> str:
     """Return it when it is a VISA resource or one behind an adapter. Raises `ValueError` for another."""
     if _VISA.fullmatch(resource) is None and bus_place(resource) is None:
         raise ValueError(
@@ -87,6 +87,11 @@ class WiredForm(DeviceSection):
 
     resource: str
     timeout: DurationS = 3.0
+
+    @property
+    def place(self) -> BusPlace | None:
+        """Where it is behind a GPIB adapter, None without one."""
+        return bus_place(self.resource)
 
     @field_validator("timeout")
     @classmethod

@@ -41,7 +41,8 @@ class Conditions:
     which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
     installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
     the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
-    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each.
+    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. `on_s` (n,) is for
+    how long the unit has been switched on, NaN where that is not known.
     """
 
     mounts: tuple[Mounting, ...]
@@ -56,6 +57,7 @@ class Conditions:
     reference_c: float = REFERENCE_C
     turns: Floats | None = None
     began_s: Floats | None = None
+    on_s: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -84,6 +86,13 @@ class Conditions:
             return pace
         late = np.interp(pace, pace[known], self.time_s[known] - pace[known])
         return np.where(known, self.time_s, pace + late)
+
+    @cached_property
+    def switched_on_s(self) -> Floats:
+        """The time since the unit was switched on, where not known since the start of the run, s, shape (n,)."""
+        if self.on_s is None:
+            return self.elapsed_s
+        return np.where(np.isfinite(self.on_s), self.on_s, self.elapsed_s)
 
     @cached_property
     def warmth_k(self) -> Floats:
@@ -137,6 +146,7 @@ class Conditions:
         scan_order: Sequence[Sequence[int]] | Ints | None = None,
         reference_c: float = REFERENCE_C,
         began_s: Floats | None = None,
+        on_s: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
 
@@ -159,4 +169,5 @@ class Conditions:
             scan_order=np.asarray(order, dtype=np.int64).reshape(n, 3),
             reference_c=reference_c,
             began_s=began_s,
+            on_s=on_s,
         )

@@ -42,6 +42,7 @@ from drivers.interfaces import (
     LimitExceeded,
     NotConnected,
     Person,
+    PowerSupply,
     Prompt,
     PromptKind,
     ThermalChamber,
@@ -67,11 +68,12 @@ class Instruments:
     head: DividingHead
     chamber: ThermalChamber | None = None
     level: interfaces.Level | None = None
+    power_supply: PowerSupply | None = None
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
-        further = (self.chamber, self.level)
+        further = (self.chamber, self.level, self.power_supply)
         return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
 
     def open(self) -> dict[str, Identity]:

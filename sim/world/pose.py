@@ -41,7 +41,8 @@ class Pose:
 class Visit(NamedTuple):
     """A pose at a time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
 
-    `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered.
+    `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered; `on_s` is how long the block
+    has had power, None where that is not told.
     """
 
     pose: Pose
@@ -49,6 +50,7 @@ class Visit(NamedTuple):
     elapsed_s: float
     block_c: float
     scan: tuple[int, ...] = (0, 1, 2)
+    on_s: float | None = None
 
 
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
@@ -57,6 +59,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
     What is at the inputs in place of the block's signals shows the effects of the meters alone.
     """
     poses = [visit.pose for visit in visits]
+    on_s = np.array([np.nan if visit.on_s is None else visit.on_s for visit in visits])
     conditions = Conditions.of(
         [pose.installation for pose in poses],
         [visit.pose.turn.angle_rad(visit.time_s) for visit in visits],
@@ -65,6 +68,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
         time_s=[visit.elapsed_s for visit in visits],
         temperature_c=[visit.block_c for visit in visits],
         scan_order=[visit.scan for visit in visits],
+        on_s=on_s if any(visit.on_s is not None for visit in visits) else None,
     )
     first = [int(np.argmax(conditions.mount == mount)) for mount in range(len(conditions.mounts))]
     stand_rad = np.stack([poses[row].stand_rad for row in first])

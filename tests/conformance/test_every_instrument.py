@@ -19,6 +19,7 @@ from bench.devices.chambers import ChamberTruth
 from bench.devices.heads import HeadTruth
 from bench.devices.levels import LevelTruth
 from bench.devices.registry import devices
+from bench.devices.supplies import SupplyTruth
 from bench.devices.voltmeters import VoltmeterTruth
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
@@ -31,14 +32,27 @@ from drivers.interfaces import (
     InstrumentLost,
     InstrumentRefused,
     Level,
+    PowerSupply,
     SelfTesting,
     ThermalChamber,
     Voltmeter,
 )
 from tests.support.instrument_stand import Mute, answering, bench_data, known, standing, written_bench
 
-PROTOCOLS = {"voltmeter": Voltmeter, "head": DividingHead, "chamber": ThermalChamber, "level": Level}
-TRUTHS = {"voltmeter": VoltmeterTruth, "head": HeadTruth, "chamber": ChamberTruth, "level": LevelTruth}
+PROTOCOLS = {
+    "voltmeter": Voltmeter,
+    "head": DividingHead,
+    "chamber": ThermalChamber,
+    "level": Level,
+    "power_supply": PowerSupply,
+}
+TRUTHS = {
+    "voltmeter": VoltmeterTruth,
+    "head": HeadTruth,
+    "chamber": ChamberTruth,
+    "level": LevelTruth,
+    "power_supply": SupplyTruth,
+}
 SHORT, LONG = "0.05 s", "60 s"
 """Timeouts in real time: of one that never answers, and of one that always does, however slow the machine."""
 
@@ -164,6 +178,7 @@ def test_one_that_falls_silent_later_is_lost_and_let_go(device, tmp_path):
             "head": lambda: driver.move(0.5, 1, "1/turn"),
             "chamber": lambda: driver.temperature("1/read"),
             "level": lambda: driver.inclination("1/level", turned=False),
+            "power_supply": lambda: driver.state("1/read"),
         }
         with pytest.raises(BenchError):
             ask[device.role]()

@@ -17,6 +17,7 @@ from bench.devices.registry import devices
 from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm, written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
+from bench.files.bench.rail_checks import supply_mistakes
 from bench.readings.table import UNORIENTED
 
 _OVER_RANGE: Final = 1.2
@@ -25,7 +26,7 @@ _OVER_RANGE: Final = 1.2
 _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
-FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level")
+FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "power_supply")
 """The roles of which a bench has one instrument at most."""
 
 
@@ -39,6 +40,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
     yield from _label_mistakes(part(data, "installations"))
     yield from _name_mistakes(data)
     yield from _simulation_mistakes(data)
+    yield from supply_mistakes(data)
 
 
 def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
@@ -77,7 +79,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """Each resource is one instrument."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
-    places += [(f"the {role}", (role,)) for role in FURTHER]
+    places += [(f"the {role.replace('_', ' ')}", (role,)) for role in FURTHER]
     known: dict[object, str] = {}
     for called, inside in places:
         place: Place = ("instruments", *inside, "resource")
@@ -166,7 +168,8 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if driver not in able:
             there = "none" if driver is None else driver
             text = (
-                f"only a {role} of the driver {' or '.join(able)} has this, and this bench has {there}; "
+                f"only a {role.replace('_', ' ')} of the driver {' or '.join(able)} has this, "
+                f"and this bench has {there}; "
                 "leave it out"
             )
             yield ("simulation", role), text

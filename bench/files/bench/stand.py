@@ -10,21 +10,21 @@ from bench.base.forms import FileModel
 from bench.base.units import (
     ACCELERATION,
     GRAVITY,
-    VOLTAGE,
     AccelerationG,
     AccelerationMS2,
     AngleRad,
     LengthM,
     ScaleFactor,
     SizeRad,
+    SizeV,
     not_negative,
 )
 from bench.devices.certificates import Day
 from bench.devices.chambers import TemperatureRange
+from bench.files.bench.rails import UnitSupplySection
 from bench.model import Distribution, Installation
 from bench.model.gravity import normal_gravity_m_s2
 
-SizeV = Annotated[float, not_negative(VOLTAGE)]
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 
 
@@ -175,13 +175,14 @@ class ScaleFactors(FileModel):
 
 
 class UnitUnderTest(FileModel):
-    """The block: identity, nominal scale factors, measuring range, temperatures it may be given."""
+    """The block: identity, nominal scale factors, measuring range, temperatures it may be given, its supply."""
 
     type: str
     serial: str
     scale_factors: ScaleFactors
     range: AccelerationG
     temperature: TemperatureRange
+    supply: UnitSupplySection | None = None
 
 
 class PopulationSection(FileModel):
