@@ -68,7 +68,7 @@ class LevelVerb(FileModel):
 
 
 class LevelSection(LevelVerb):
-    """Level the platform before the block is mounted, and measure what is left; beyond `within` it is done again."""
+    """Level the platform before the block is mounted, measure what is left; beyond `within` it is done again."""
 
     within: SizeRad = 10.0 * ARCSEC
 

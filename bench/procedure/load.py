@@ -214,9 +214,7 @@ class _Scope:
         return text
 
 
-_NOT_IN_AN_INPUT: Final = frozenset(
-    {"turn", "installation", "input", "temperature", "temperatures", "level"}
-)
+_NOT_IN_AN_INPUT: Final = frozenset({"turn", "installation", "input", "temperature", "temperatures", "level"})
 
 
 def _a(verb: str) -> str:

@@ -57,7 +57,8 @@ class History:
     `head` is the SHA-256 of the last whole line, which stands for all before it, `length` the bytes up to there.
     `taken` are readings and the marks of a mounting in the middle of a run, in the order of measurement, without
     their samples; `identities` those of the instruments when the run was begun, `serials` their serial numbers
-    where the bench has certificates; `levelled` what the level showed, with the bench time. What follows on a line that cannot be believed is left out of everything.
+    where the bench has certificates; `levelled` what the level showed, with the bench time. What follows on a line
+    that cannot be believed is left out of everything.
     """
 
     events: Events

@@ -142,14 +142,18 @@ class Levelling:
         raise BadReading(
             level.name,
             f"its zero came out otherwise each time, at last at {_arcsec(self.zero.along_rad):+.1f}″ along and "
-            f"{_arcsec(self.zero.across_rad):+.1f}″ across" if self.zero else "its zero is not known",
+            f"{_arcsec(self.zero.across_rad):+.1f}″ across"
+            if self.zero
+            else "its zero is not known",
             "let it and the platform come to one temperature, see that it sits firmly, then take this step again",
         )
 
     def _read(self, level: Level, key: str, *, turned: bool) -> Inclination:
         """Have an electronic level placed; a bubble's own questions say how it is laid."""
         if not level.asks_person:
-            how = "half a turn from its first position" if turned else "in its first position, along the shaft"
+            how = (
+                "half a turn from its first position" if turned else "in its first position, along the shaft"
+            )
             confirm(
                 self.person,
                 Prompt(

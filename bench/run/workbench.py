@@ -10,7 +10,18 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS
-from bench.procedure.plan import Ask, Level, Mount, Read, SelectInput, SetTemperature, Settle, Step, Turn, Wait
+from bench.procedure.plan import (
+    Ask,
+    Level,
+    Mount,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Step,
+    Turn,
+    Wait,
+)
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.reading import Reading
 from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
