@@ -41,9 +41,11 @@ class Conditions:
     which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
     installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
     the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
-    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. `on_s` (n,) is for
-    how long the unit has been switched on, NaN where that is not known. `level_rad` (n, 4) is what a level showed
-    in the mounting of the row: alpha1, alpha2 and their standard uncertainties, NaN for nothing.
+    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. Of the supply,
+    `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v`
+    (n, rails) the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
+    `level_rad` (n, 4) is what a level showed in the mounting of the row: alpha1, alpha2 and their standard
+    uncertainties, NaN for nothing.
     """
 
     mounts: tuple[Mounting, ...]
@@ -60,6 +62,7 @@ class Conditions:
     began_s: Floats | None = None
     on_s: Floats | None = None
     level_rad: Floats | None = None
+    supply_v: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -102,16 +105,29 @@ class Conditions:
 
         Where some rows have a temperature, the others take it from their neighbours in time.
         """
-        known = np.isfinite(self.temperature_c)
+        return self._between_known(self.temperature_c - self.reference_c)
+
+    @cached_property
+    def above_nominal_v(self) -> Floats:
+        """The voltage of each rail less its nominal one, V, shape (n, rails): zero where none is known.
+
+        Where some rows have one, the others take it from their neighbours in time.
+        """
+        if self.supply_v is None:
+            return np.zeros((len(self), 0))
+        return np.stack([self._between_known(rail) for rail in self.supply_v.T], axis=1)
+
+    def _between_known(self, values: Floats) -> Floats:
+        """Return a column (n,) with what is NaN in it taken from its neighbours in time; zero if all is."""
+        known = np.isfinite(values)
+        if known.all():
+            return values
         if not known.any():
             return np.zeros(len(self))
-        warmth = self.temperature_c - self.reference_c
-        if known.all():
-            return warmth
         clock_s = self.elapsed_s if self.began_s is None else self.time_s
         order = np.argsort(clock_s[known], kind="stable")
-        between = np.interp(clock_s, clock_s[known][order], warmth[known][order])
-        return np.where(known, warmth, between)
+        between = np.interp(clock_s, clock_s[known][order], values[known][order])
+        return np.where(known, values, between)
 
     def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
         """Return what a level showed: by mounting and column of the stand angles the angle and its u, rad."""
@@ -161,6 +177,7 @@ class Conditions:
         began_s: Floats | None = None,
         on_s: Floats | None = None,
         level_rad: Floats | None = None,
+        supply_v: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
 
@@ -185,4 +202,5 @@ class Conditions:
             began_s=began_s,
             on_s=on_s,
             level_rad=level_rad,
+            supply_v=supply_v,
         )
