@@ -33,7 +33,7 @@ from bench.readings.levelled import Seen, with_levels
 from bench.readings.table import make_readings
 from bench.run.levelling import Levelling
 from bench.run.workbench import Instruments
-from drivers.interfaces import Answer, HeadPosition, Identity, Inclination, LevelSizes
+from drivers.interfaces import Answer, Direction, HeadPosition, Identity, Inclination, LevelSizes, Prompt
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 ZERO_RAD = 30.0 * ARCSEC
@@ -67,13 +67,13 @@ class Platform:
             self.scale = self.rng.uniform(-0.005, 0.005)
         self.askew = self.rng.normal(0.0, self.sizes.cross, 2)
 
-    def move(self, target_rad: float, direction: int, key: str) -> HeadPosition:
+    def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Set the head: its scale is off by α4, and it is not quite where it was sent."""
         on_scale = round(self.rng.normal(0.0, 2.0)) * ARCSEC
         self._set_rad = on_scale + self.rng.normal(0.0, SETTING_U_RAD)
         return HeadPosition(on_scale, 1)
 
-    def ask(self, prompt):  # type: ignore[no-untyped-def]
+    def ask(self, prompt: Prompt) -> Answer:
         """Level the platform where that is asked."""
         if prompt.action["do"] == "level_platform":
             self.alpha = self.rng.uniform(-LEFT_RAD, LEFT_RAD, 2)
@@ -106,7 +106,7 @@ def levellings(count: int, *, bubble: bool, settings: int = 1, seed: int = 1) ->
         rng = np.random.default_rng([seed, int(bubble), settings, k])
         platform = Platform(rng, bubble)
         step = LevelStep("1/level", "1", 1, settings, 20.0 * ARCSEC)
-        instruments = Instruments([], platform, level=platform)  # type: ignore[arg-type]
+        instruments = Instruments([], platform, level=platform)
         found = Levelling(instruments, platform, SETTING_U_RAD).carry_out(step)
         told = np.array([found.alpha1_arcsec, found.alpha2_arcsec]) * ARCSEC
         z[k] = (told - platform.alpha) / (np.array([found.u_alpha1_arcsec, found.u_alpha2_arcsec]) * ARCSEC)
@@ -125,19 +125,25 @@ def calibrations(k: int, u_level: Floats, seed: int = 2) -> tuple[Floats, Floats
     )
     which = np.array([int(label) - 1 for label in installation])
     setting = rng.normal(0.0, SETTING_U_RAD, len(phi))
-    force = specific_force(installation, phi, *angles[which].T, setting)
+    one, two, three = angles[which].T
+    force = specific_force(installation, phi, one, two, three, setting)
     signal = force @ K.T + U0 + rng.normal(0.0, NOISE_V, (len(phi), 3))
     time_s = np.linspace(0.0, 4.0 * 3600.0, len(phi))
     plain = make_readings(installation, pass_number, point, phi, signal, time_s=time_s)
     told = (angles[:, :2] + rng.normal(0.0, u_level, (2, 2))) / ARCSEC
-    u = tuple((u_level / ARCSEC).tolist())
-    seen = [Seen(0.0, (1, label), True, tuple(told[i].tolist()), u) for i, label in enumerate("12")]  # type: ignore[arg-type]
+    u = (float(u_level[0] / ARCSEC), float(u_level[1] / ARCSEC))
+    seen = [
+        Seen(0.0, (1, label), True, (float(t[0]), float(t[1])), u)
+        for label, t in zip("12", told, strict=True)
+    ]
     truth = np.concatenate([K.ravel(), U0])
-    out = []
-    for readings in (with_levels(plain, seen), plain):
-        found = calibrate(readings, MODEL, STAND_U, 9.81)
-        out += [found.block.vector - truth, found.u_readings]
-    return tuple(out)  # type: ignore[return-value]
+    levelled, limited = (calibrate(one, MODEL, STAND_U, 9.81) for one in (with_levels(plain, seen), plain))
+    return (
+        levelled.block.vector - truth,
+        levelled.u_readings,
+        limited.block.vector - truth,
+        limited.u_readings,
+    )
 
 
 def theory(u_level: Floats | None) -> Floats:
@@ -149,19 +155,15 @@ def theory(u_level: Floats | None) -> Floats:
     def signals(unknowns: Floats) -> Floats:
         angles = unknowns[12:].reshape(2, 3)
         block, bias = unknowns[:9].reshape(3, 3), unknowns[9:12]
-        return np.asarray(
-            specific_force(installation, phi, *angles[which].T, np.zeros(len(phi))) @ block.T + bias
-        )
+        one, two, three = angles[which].T
+        return np.asarray(specific_force(installation, phi, one, two, three) @ block.T + bias)
 
     here = np.concatenate([K.ravel(), U0, zero.ravel()])
     steps = np.concatenate([np.full(12, 1e-4), np.full(6, 1e-6)])
     columns = [(signals(here + step) - signals(here - step)).ravel() for step in np.diag(steps)]
     jacobian = (np.array(columns) / (2.0 * steps[:, None])).T
-    args = [installation, phi, *zero[which].T]
-    slope = (
-        specific_force(*args, np.full(len(phi), 1e-6)) - specific_force(*args, np.full(len(phi), -1e-6))
-    ) / 2e-6
-    slope = slope @ K.T
+    forward, back = (specific_force(installation, phi, alpha4=step) for step in (1e-6, -1e-6))
+    slope = (forward - back) / 2e-6 @ K.T
     information = np.zeros((18, 18))
     for row in range(len(phi)):
         noise = NOISE_V**2 * np.eye(3) + SETTING_U_RAD**2 * np.outer(slope[row], slope[row])
