@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import DurationS, SizeA, SizeV, SpanS, VoltageV
+from drivers.interfaces import OutputSettings
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,30}")
 
@@ -53,6 +54,11 @@ class RailSection(FileModel):
     limits: RailLimits
     current_limit: SizeA
     over_voltage: VoltageV | None = None
+
+    @property
+    def settings(self) -> OutputSettings:
+        """What the supply's output is set to."""
+        return OutputSettings(self.voltage, self.current_limit, self.over_voltage)
 
     @property
     def window_v(self) -> tuple[float, float]:
