@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
 from bench.assembly.served import real_bench
+from bench.base.arrays import ARCSEC
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
 from bench.files.bench.file import BenchFile
@@ -21,6 +22,7 @@ from drivers.interfaces import (
     Identity,
     Instrument,
     InstrumentLost,
+    Level,
     NoAnswer,
     Prompt,
     SelfTesting,
@@ -183,7 +185,7 @@ def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> Non
 
 
 def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
-    """Take one reading of a voltmeter, the position of a head, the temperature of a chamber."""
+    """Take one reading of a voltmeter, the position of a head, the temperature of a chamber, a level."""
     if isinstance(instrument, Voltmeter):
         instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, row.samples))
         row.settings = f"{range_v:g} V, {QUICK_NPLC:g} NPLC"
@@ -193,6 +195,10 @@ def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
     elif isinstance(instrument, ThermalChamber):
         row.value = instrument.temperature("instruments")
         row.shows = f"{row.value:.1f} °C"
+    elif isinstance(instrument, Level):
+        found = instrument.inclination("instruments", turned=False)
+        row.value = {"along": found.along_rad, "across": found.across_rad}
+        row.shows = ", ".join(f"{axis} {value / ARCSEC:+.1f} arcsec" for axis, value in row.value.items())
     elif isinstance(instrument, _HasScale):
         row.value = instrument.position_rad()
         row.shows = format_dms(row.value)

@@ -13,6 +13,7 @@ from drivers.clock import Clock
 from sim.bench import SimulatedMeter
 from sim.wires.faults import Fault
 from sim.wires.session import Dialect
+from sim.world.levelling import LevelSettings
 from sim.world.operator import OperatorSettings
 from sim.world.world import World, WorldSettings
 
@@ -29,6 +30,9 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
         chamber_rate_c_s=truth.chamber.rate,
         chamber_lag_s=truth.chamber.lag,
         chamber_off_lag_s=truth.chamber.off_lag,
+        level=LevelSettings(
+            truth.level.zero_along, truth.level.zero_across, truth.level.noise, truth.level.scale
+        ),
     )
     return World(settings, clock)
 

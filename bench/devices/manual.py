@@ -1,16 +1,18 @@
-"""A head, a chamber and a power supply that a person works."""
+"""A head, a chamber, a level and a power supply that a person works."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from bench.base.forms import FileModel
-from bench.base.units import SizeA, SizeRad, TemperatureC, VoltageV
+from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV
 from bench.devices.chambers import ChamberForm
 from bench.devices.device import Device
 from bench.devices.heads import HeadForm
+from bench.devices.levels import LevelForm
 from bench.devices.supplies import OF_THE_UNIT, SupplyForm
 from drivers.interfaces import OutputLimits, SupplyLimits
 
@@ -55,6 +57,41 @@ class ManualChamberSection(ChamberForm):
     def driver_options(self) -> dict[str, Any]:
         """Return its limits and the safe setting."""
         return {"minimum_c": self.minimum, "maximum_c": self.maximum, "safe_c": self.safe}
+
+
+class ManualLevelSection(LevelForm):
+    """A bubble level that a person lays along the shaft and across it, and reads.
+
+    `division` is the value of a graduation of the vial, which has `divisions` to either side and is read to the
+    part `reading` of one (1 σ). `scale` is how well the value of a graduation is known, `turn` how well the level
+    is laid along an axis and turned end for end (1 σ).
+    """
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-level"]
+    division: SizeRad
+    reading: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    divisions: Annotated[float, Field(gt=0.0, le=100.0)] = 10.0
+    scale: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.05
+    turn: SizeRad = math.radians(1.0)
+
+    @field_validator("division")
+    @classmethod
+    def _has_divisions(cls, division_rad: float) -> float:
+        if division_rad == 0.0:
+            raise ValueError("a vial has divisions: expected the value of one such as '5 arcsec'")
+        return division_rad
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return what a division is, and how well it is read."""
+        return {
+            "division_rad": self.division,
+            "reading_divisions": self.reading,
+            "most_divisions": self.divisions,
+            "scale": self.scale,
+            "turn_rad": self.turn,
+        }
 
 
 class ManualOutput(FileModel):
@@ -136,6 +173,15 @@ DEVICE = (
         driver="drivers.manual.chamber:ManualChamber",
         simulation=None,
         example={"minimum": "-60 degC", "maximum": "100 degC"},
+        place=0,
+    ),
+    Device(
+        "manual-level",
+        ManualLevelSection,
+        driver="drivers.manual.level:ManualLevel",
+        simulation=None,
+        example={"division": "5 arcsec"},
+        simulated=("zero_along", "zero_across", "noise", "scale"),
         place=0,
     ),
     Device(

@@ -174,7 +174,7 @@ def _wrong_declaration(device: Device) -> str | None:
         or not issubclass(section, DeviceSection)
         or not hasattr(section, "role")
     ):
-        return f"the section of '{device.name}' is none of a voltmeter, a head, a chamber or a power supply"
+        return f"the section of '{device.name}' has no role that a bench knows"
     stated = get_args(section.model_fields["driver"].annotation)
     if stated != (device.name,):
         return f"the section of '{device.name}' does not have driver: Literal['{device.name}']"

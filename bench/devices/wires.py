@@ -72,6 +72,8 @@ class Port:
     read_termination: str
     write_termination: str
     serial: Mapping[str, Any] | None = None
+    read_tail: int = 0
+    """How many bytes follow the termination of a reply."""
 
 
 WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
@@ -102,7 +104,8 @@ class WiredForm(DeviceSection):
         """Return how its wire is set up: as its facts have it, a serial port as the section says."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
-        return Port(self.facts.READ_TERMINATION, self.facts.WRITE_TERMINATION, serial)
+        tail = getattr(self.facts, "READ_TAIL", 0)
+        return Port(self.facts.READ_TERMINATION, self.facts.WRITE_TERMINATION, serial, tail)
 
 
 class PortSection(FileModel):

@@ -41,8 +41,9 @@ class Conditions:
     which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
     installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
     the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
-    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. `on_s` (n,) is for
-    how long the unit has been switched on, NaN where that is not known.
+    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. Of the supply,
+    `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v`
+    (n, rails) the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
     """
 
     mounts: tuple[Mounting, ...]
@@ -58,6 +59,7 @@ class Conditions:
     turns: Floats | None = None
     began_s: Floats | None = None
     on_s: Floats | None = None
+    supply_v: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -100,16 +102,29 @@ class Conditions:
 
         Where some rows have a temperature, the others take it from their neighbours in time.
         """
-        known = np.isfinite(self.temperature_c)
+        return self._between_known(self.temperature_c - self.reference_c)
+
+    @cached_property
+    def above_nominal_v(self) -> Floats:
+        """The voltage of each rail less its nominal one, V, shape (n, rails): zero where none is known.
+
+        Where some rows have one, the others take it from their neighbours in time.
+        """
+        if self.supply_v is None:
+            return np.zeros((len(self), 0))
+        return np.stack([self._between_known(rail) for rail in self.supply_v.T], axis=1)
+
+    def _between_known(self, values: Floats) -> Floats:
+        """Return a column (n,) with what is NaN in it taken from its neighbours in time; zero if all is."""
+        known = np.isfinite(values)
+        if known.all():
+            return values
         if not known.any():
             return np.zeros(len(self))
-        warmth = self.temperature_c - self.reference_c
-        if known.all():
-            return warmth
         clock_s = self.elapsed_s if self.began_s is None else self.time_s
         order = np.argsort(clock_s[known], kind="stable")
-        between = np.interp(clock_s, clock_s[known][order], warmth[known][order])
-        return np.where(known, warmth, between)
+        between = np.interp(clock_s, clock_s[known][order], values[known][order])
+        return np.where(known, values, between)
 
     def select(self, rows: Mask) -> Conditions:
         """Return the rows where the mask (n,) is true, with the mountings that they are of."""
@@ -147,6 +162,7 @@ class Conditions:
         reference_c: float = REFERENCE_C,
         began_s: Floats | None = None,
         on_s: Floats | None = None,
+        supply_v: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
 
@@ -170,4 +186,5 @@ class Conditions:
             reference_c=reference_c,
             began_s=began_s,
             on_s=on_s,
+            supply_v=supply_v,
         )

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.readings.rails import Rail, columns_of
+from bench.readings.supplied import Rail, columns_of
 from bench.readings.table import REFERENCE_V, SCAN_ORDER, Readings, make_readings
 
 Triple = tuple[float, ...]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from bench.files.bench.rails import RailSection, UnitSupplySection
-from bench.readings.rails import Rail
+from bench.readings.supplied import Rail
 from bench.run.events import EventType
 from bench.run.prompts import ask
 from drivers.clock import Clock
@@ -228,7 +228,7 @@ class UnitPower:
                 "find out why before going on; the block is warmed up anew then, and its mounting is another visit",
             )
         self._seen = {
-            rail.name: Rail(state.voltage_v, state.current_a)
+            rail.name: Rail(state.voltage_v, rail.voltage, state.current_a)
             for rail in self.section.rails
             for state in (self._of(states, rail),)
         }

@@ -23,8 +23,8 @@ from bench.procedure.plan import (
     Wait,
 )
 from bench.procedure.steps import in_scan_order, read_order
-from bench.readings.rails import Rail, between
 from bench.readings.reading import Reading
+from bench.readings.supplied import Rail, between
 from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
 from bench.run.events import (
     Answered,
@@ -50,6 +50,7 @@ from drivers.interfaces import (
     HeadPosition,
     Identity,
     Instrument,
+    Level,
     LimitExceeded,
     NotConnected,
     Person,
@@ -78,13 +79,14 @@ class Instruments:
     voltmeters: Sequence[Voltmeter]
     head: DividingHead
     chamber: ThermalChamber | None = None
+    level: Level | None = None
     power_supply: PowerSupply | None = None
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
-        further = (self.chamber, self.power_supply)
-        return [*self.voltmeters, self.head, *(instrument for instrument in further if instrument)]
+        further = (self.chamber, self.level, self.power_supply)
+        return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
 
     def open(self) -> dict[str, Identity]:
         """Open everything and return the identities by name. Raises every failure at once."""

@@ -51,6 +51,10 @@ Columns stand in any order, in small or large letters. Unknown columns are kept 
 Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
 computed until it is mended or left out with `--skip-bad-rows`.
 
+Of each rail that feeds the block there may be three columns: `rail_NAME_v` and `rail_NAME_a`, what was measured,
+in V and A, and `rail_NAME_nominal_v`, from which the effect `supply_sensitivity` counts; empty where nothing was
+measured.
+
 A text in an unknown column, or its name, that begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end)
 is exported with an apostrophe in front, so that a spreadsheet keeps it as text; control characters are exported
 as escapes such as `\\x1b`, backslashes in such a cell twice. Reading the file undoes both. Numbers stay numbers.

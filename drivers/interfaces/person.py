@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Literal, NotRequired, Protocol, TypedDict
 
 from drivers.interfaces.instruments import Direction
+from drivers.interfaces.level import LevelAxis
 
 
 class PromptKind(StrEnum):
@@ -80,6 +81,30 @@ class HandleCable(TypedDict):
     plugged: bool
 
 
+class PlaceLevel(TypedDict):
+    """Put the level on the platform in its first position, or `turned` by half a turn from it."""
+
+    do: Literal["place_level"]
+    turned: bool
+
+
+class ReadLevel(TypedDict):
+    """Put a level on the platform along the shaft or across it, and read its bubble."""
+
+    do: Literal["read_level"]
+    axis: LevelAxis
+    turned: bool
+    division_rad: float
+
+
+class LevelPlatform(TypedDict):
+    """Level the platform, before the block is mounted in an installation for the `series`-th time."""
+
+    do: Literal["level_platform"]
+    installation: str
+    series: int
+
+
 class Say(TypedDict):
     """Read the chamber's thermometer, answer, see that the way is clear, or wait: nothing is changed."""
 
@@ -95,6 +120,9 @@ Action = (
     | SwitchSupply
     | ReadSupply
     | HandleCable
+    | PlaceLevel
+    | ReadLevel
+    | LevelPlatform
     | Say
 )
 """What a prompt asks a person to do, for one that is a program."""

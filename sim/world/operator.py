@@ -80,6 +80,19 @@ class ScriptedOperator:
             self._pass_time(self._settings.task_time_s)
             self._world.select_input(action["source"], action.get("reference_v"))
             text = _confirmation(prompt)
+        elif action["do"] == "place_level":
+            self._pass_time(self._settings.task_time_s)
+            self._world.place_level(turned=action["turned"])
+            text = _confirmation(prompt)
+        elif action["do"] == "read_level":
+            self._pass_time(self._settings.task_time_s)
+            self._world.place_level(turned=action["turned"])
+            divisions = self._world.level_shows_rad(action["axis"]) / action["division_rad"]
+            text = f"{divisions:.1f}"
+        elif action["do"] == "level_platform":
+            self._pass_time(self._settings.mount_time_s)
+            self._world.level_platform(action["installation"], action["series"])
+            text = _confirmation(prompt)
         elif action["do"] in ("set_supply", "switch_supply", "read_supply"):
             self._pass_time(self._settings.display_time_s)
             text = work_supply(self._world, action) or _confirmation(prompt)

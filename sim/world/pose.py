@@ -42,7 +42,7 @@ class Visit(NamedTuple):
     """A pose at a time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
 
     `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered; `on_s` is how long the block
-    has had power, None where that is not told.
+    has had power, None where that is not told, `supply_v` the voltage of each rail less its nominal one, V.
     """
 
     pose: Pose
@@ -51,6 +51,7 @@ class Visit(NamedTuple):
     block_c: float
     scan: tuple[int, ...] = (0, 1, 2)
     on_s: float | None = None
+    supply_v: tuple[float, ...] = ()
 
 
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
@@ -69,9 +70,19 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
         temperature_c=[visit.block_c for visit in visits],
         scan_order=[visit.scan for visit in visits],
         on_s=on_s if any(visit.on_s is not None for visit in visits) else None,
+        supply_v=_supply_v(visits),
     )
     first = [int(np.argmax(conditions.mount == mount)) for mount in range(len(conditions.mounts))]
     stand_rad = np.stack([poses[row].stand_rad for row in first])
     setting_rad = np.array([pose.setting_error_rad for pose in poses])
     voltage_v = np.array([[np.nan if pose.input_v is None else pose.input_v] * 3 for pose in poses])
     return model.readings_in_order(block, conditions, stand_rad, setting_rad, voltage_v=voltage_v)
+
+
+def _supply_v(visits: Sequence[Visit]) -> Floats | None:
+    """Return the voltages of the rails less their nominal ones, shape (n, rails), NaN where a visit has none."""
+    rails = max((len(visit.supply_v) for visit in visits), default=0)
+    if not rails:
+        return None
+    unknown = (float("nan"),) * rails
+    return np.array([visit.supply_v or unknown for visit in visits])

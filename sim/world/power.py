@@ -228,6 +228,12 @@ class Power:
             rail = next(rail for rail in self.settings.rails if rail.name == name)
             return self._rail_v(rail, time_s)
 
+    def above_nominal_v(self, time_s: float) -> tuple[float, ...]:
+        """Return the voltage of each rail at the block less its nominal one at a time up to now, V."""
+        with self._lock:
+            self.advance(time_s)
+            return tuple(self._rail_v(rail, time_s) - rail.nominal_v for rail in self.settings.rails)
+
     def on_since_s(self, time_s: float) -> float | None:
         """Return since when the block has power at a time up to now, None where it has none or needs none."""
         if not self.settings.rails:

@@ -12,6 +12,7 @@ from bench.model import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
 from sim.world.heat import Heat
 from sim.world.inputs import Terminals
+from sim.world.levelling import LevelSettings, platform_tilt_rad
 from sim.world.pose import Pose, Visit, readings_of
 from sim.world.power import Power, PowerSettings
 from sim.world.turning import HeadFault, HeadTurn
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from bench.model import Block, ForwardModel
     from drivers.clock import Clock
-    from drivers.interfaces import Channel, Direction
+    from drivers.interfaces import Channel, Direction, LevelAxis
 
 
 SETTING_ERROR: Final = "setting_error"
@@ -55,6 +56,7 @@ class WorldSettings:
     chamber_rate_c_s: float = 4.0 / 60.0
     chamber_lag_s: float = 120.0
     chamber_off_lag_s: float = 3600.0
+    level: LevelSettings = field(default_factory=LevelSettings)
     power: PowerSettings = field(default_factory=PowerSettings)
 
     def __post_init__(self) -> None:
@@ -90,6 +92,7 @@ class World(KeyedNumbers):
         at_zero = HeadTurn(now_s, 0.0, 0.0)
         self._poses = [Pose(now_s, installation, 1, stand_rad, at_zero, 0.0, None, 0.0)]
         self._read: list[Visit] = []
+        self._level_turned = False
         self._triggered: dict[int, tuple[int, ...]] = {}
 
     def _draw(self, name: str, generator: np.random.Generator) -> float:
@@ -117,6 +120,17 @@ class World(KeyedNumbers):
         with self._lock:
             stand_rad = self._stand_rad(installation, series)
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
+
+    def level_platform(self, installation: str, series: int) -> None:
+        """Level the platform before a mounting: it stands from now on as it does in that mounting."""
+        with self._lock:
+            stand_rad = self._poses[-1].stand_rad.copy()
+            stand_rad[:2] = self._stand_rad(installation, series)[:2]
+            self._pose_on(stand_rad=stand_rad)
+
+    def place_level(self, *, turned: bool) -> None:
+        """Put the level on the platform, in its first position or half a turn from it."""
+        self._level_turned = turned
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
         """Turn the head until its scale shows `scale_angle_rad`; the true angle differs by a fresh alpha4."""
@@ -311,6 +325,16 @@ class World(KeyedNumbers):
         with self._lock:
             return self._heat.block_c(time_s)
 
+    def level_shows_rad(self, axis: LevelAxis) -> float:
+        """Return what the level on the platform shows now, rad: its own zero and a fresh noise are in it."""
+        with self._lock:
+            visit = self._visit(self._poses[-1], self.clock.now_s())
+            inclined_rad = platform_tilt_rad(visit, self.settings.model)[axis]
+            normal = self.random("level", axis, self.count("level", axis)).standard_normal
+        return self.settings.level.shown_rad(
+            axis, -inclined_rad if self._level_turned else inclined_rad, normal
+        )
+
     def signal_v(self, channel: Channel, time_s: float | None = None) -> float:
         """Return the voltage at a meter's terminals now, or as it was at `time_s` of the clock, V.
 
@@ -339,8 +363,7 @@ class World(KeyedNumbers):
         if model.needs_history:
             before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
         visits = [*before, self._visit(pose, time_s)]
-        signals: Floats = readings_of(visits, model, self.settings.block)[-1]
-        return signals
+        return np.asarray(readings_of(visits, model, self.settings.block)[-1])
 
     def _visit(self, pose: Pose, time_s: float) -> Visit:
         on_since_s = self.power.on_since_s(self._past_s(time_s))
@@ -351,6 +374,7 @@ class World(KeyedNumbers):
             self.block_c_at(time_s),
             self._scan(pose),
             None if on_since_s is None else time_s - on_since_s,
+            self.power.above_nominal_v(self._past_s(time_s)),
         )
 
     def _past_s(self, time_s: float) -> float:

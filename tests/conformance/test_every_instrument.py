@@ -17,6 +17,7 @@ from bench.assembly.served import served_bench
 from bench.base.forms import FileMistakes
 from bench.devices.chambers import ChamberTruth
 from bench.devices.heads import HeadTruth
+from bench.devices.levels import LevelTruth
 from bench.devices.registry import devices
 from bench.devices.supplies import SupplyTruth
 from bench.devices.voltmeters import VoltmeterTruth
@@ -30,6 +31,7 @@ from drivers.interfaces import (
     Identity,
     InstrumentLost,
     InstrumentRefused,
+    Level,
     PowerSupply,
     SelfTesting,
     ThermalChamber,
@@ -41,12 +43,14 @@ PROTOCOLS = {
     "voltmeter": Voltmeter,
     "head": DividingHead,
     "chamber": ThermalChamber,
+    "level": Level,
     "power_supply": PowerSupply,
 }
 TRUTHS = {
     "voltmeter": VoltmeterTruth,
     "head": HeadTruth,
     "chamber": ChamberTruth,
+    "level": LevelTruth,
     "power_supply": SupplyTruth,
 }
 SHORT, LONG = "0.05 s", "60 s"
@@ -100,9 +104,7 @@ def test_the_simulation_is_served_and_looked_at_live(bench, tmp_path, device):
             *zip(
                 data["instruments"]["voltmeters"], [m.name for m in file.instruments.voltmeters], strict=True
             ),
-            (data["instruments"]["head"], file.instruments.head.name),
-            (data["instruments"]["chamber"], file.instruments.chamber.name),
-            (data["instruments"].get("power_supply"), "power_supply"),
+            *((data["instruments"][s.role], s.name) for s in file.instruments.all() if s.role != "voltmeter"),
         ):
             if name in places:
                 host, _, port = places[name].rpartition(":")
@@ -175,6 +177,7 @@ def test_one_that_falls_silent_later_is_lost_and_let_go(device, tmp_path):
             "voltmeter": lambda: driver.configure(stand.settings()),
             "head": lambda: driver.move(0.5, 1, "1/turn"),
             "chamber": lambda: driver.temperature("1/read"),
+            "level": lambda: driver.inclination("1/level", turned=False),
             "power_supply": lambda: driver.state("1/read"),
         }
         with pytest.raises(BenchError):

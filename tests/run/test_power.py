@@ -82,8 +82,8 @@ def test_a_run_switches_the_block_on_in_order_and_off_in_reverse(run):
 def test_each_reading_has_voltage_and_current_of_each_rail(run):
     _, readings, _ = run(Supply(VirtualClock()))
     expected = {
-        "p15": {"voltage_v": 15.0, "current_a": 0.05},
-        "n15": {"voltage_v": -15.0, "current_a": 0.05},
+        "p15": {"voltage_v": 15.0, "nominal_v": 15.0, "current_a": 0.05},
+        "n15": {"voltage_v": -15.0, "nominal_v": -15.0, "current_a": 0.05},
     }
     assert all(reading["rails"] == expected for reading in readings)
 

@@ -26,6 +26,10 @@ _OVER_RANGE: Final = 1.2
 _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
+FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "power_supply")
+"""The roles of which a bench has one instrument at most."""
+
+
 def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
     """Yield every mistake with its place; `data` is the file as written, whatever else is wrong in it."""
     voltmeters = part(data, "instruments", "voltmeters")
@@ -75,11 +79,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """Each resource is one instrument."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
-    places += [
-        ("the head", ("head",)),
-        ("the chamber", ("chamber",)),
-        ("the power supply", ("power_supply",)),
-    ]
+    places += [(f"the {role.replace('_', ' ')}", (role,)) for role in FURTHER]
     known: dict[object, str] = {}
     for called, inside in places:
         place: Place = ("instruments", *inside, "resource")
@@ -150,7 +150,7 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """What is said of a simulated head, chamber or power supply is there to be simulated."""
+    """What is said of a simulated instrument is there to be simulated."""
     accuracy: Place = ("simulation", "voltmeter", "accuracy")
     if part(data, *accuracy) == CERTIFICATE:
         meters = enumerate(_items(part(data, "instruments", "voltmeters")), start=1)
@@ -158,8 +158,7 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if without:
             text = f"voltmeter {', '.join(without)} has no certificate whose errors it could have"
             yield accuracy, text
-    roles: tuple[Role, ...] = ("head", "chamber", "power_supply")
-    for role in roles:
+    for role in FURTHER:
         stated = part(data, "simulation", role)
         section = part(data, "instruments", role)
         driver = part(section, "driver")

@@ -11,10 +11,13 @@ from bench.base.arrays import CHANNELS
 from bench.base.forms import FileModel
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
+from bench.devices.levels import LevelForm
 from bench.devices.registry import chosen_by_driver
 from bench.devices.supplies import SupplyForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
+
+InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | SupplyForm
 
 
 class InstrumentsSection(FileModel):
@@ -26,16 +29,16 @@ class InstrumentsSection(FileModel):
     ]
     head: Annotated[HeadForm, chosen_by_driver("head")]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber")] = None
+    level: Annotated[LevelForm | None, chosen_by_driver("level")] = None
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply")] = None
 
-    def all(self) -> Iterator[VoltmeterForm | HeadForm | ChamberForm | SupplyForm]:
-        """Yield the section of every instrument: voltmeters, head, chamber, power supply."""
+    def all(self) -> Iterator[InstrumentForm]:
+        """Yield the section of every instrument: voltmeters, head, and what else there is."""
         yield from self.voltmeters
         yield self.head
-        if self.chamber is not None:
-            yield self.chamber
-        if self.power_supply is not None:
-            yield self.power_supply
+        for further in (self.chamber, self.level, self.power_supply):
+            if further is not None:
+                yield further
 
     @property
     def adapters(self) -> dict[str, str]:
@@ -62,4 +65,5 @@ class RecordedInstruments(InstrumentsSection):
     ]
     head: Annotated[HeadForm, chosen_by_driver("head", recorded=True)]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber", recorded=True)] = None
+    level: Annotated[LevelForm | None, chosen_by_driver("level", recorded=True)] = None
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply", recorded=True)] = None

@@ -11,6 +11,7 @@ from bench.base.forms import FileModel
 from bench.base.units import Ratio, ScaleFactor, SizeRad, SpanS, TemperatureC, VoltageV
 from bench.devices.chambers import ChamberTruth
 from bench.devices.heads import HeadTruth
+from bench.devices.levels import LevelTruth
 from bench.devices.supplies import SupplyTruth
 from bench.devices.voltmeters import VoltmeterTruth
 
@@ -104,6 +105,7 @@ class SimulationSection(FileModel):
     voltmeter: VoltmeterTruth = VoltmeterTruth()
     head: HeadTruth = HeadTruth()
     chamber: ChamberTruth = ChamberTruth()
+    level: LevelTruth = LevelTruth()
     power_supply: SupplyTruth = SupplyTruth()
     ambient_temperature: TemperatureC = 23.0
     faults: tuple[FaultSection, ...] = ()
