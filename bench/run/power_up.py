@@ -32,7 +32,8 @@ def warm_up(
     watched. Raises `RailFault`, `NotSettled`.
     """
     wanted = power.section.warm_up if stated_s is None else stated_s
-    clock, at = power.clock, ()  # type: tuple[float, ...]
+    clock = power.clock
+    at: tuple[float, ...] = ()
 
     def between(state: Settling) -> None:
         on_progress(state)

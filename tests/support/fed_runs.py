@@ -44,7 +44,7 @@ class Supply:
         at: Mapping[int, Callable[["Supply"], None]] | None = None,
     ) -> None:
         self.clock = clock
-        self.outputs = ("P25V", "N25V")
+        self.outputs: tuple[str, ...] = ("P25V", "N25V")
         self.states = dict(found or dict.fromkeys(self.outputs, AS_NEW))
         self.at = dict(at or {})
         self.looks = 0
