@@ -192,7 +192,7 @@ class UnitPower:
                 return to_do
         except Exception as error:
             why = error.cause if isinstance(error, BenchError) else f"{type(error).__name__}: {error}"
-            return f"the block could not be switched off: switch it off by hand ({why})"
+            return f"could not switch the block off: switch it off by hand ({why})"
         self.on, self.off_since_s = False, self.now_s()
         return ""
 

@@ -193,7 +193,7 @@ def test_a_supply_that_does_not_obey_on_the_way_out_is_told(run):
         sag()(supply)
 
     _, _, stopped = run(Supply(VirtualClock(), at={50: sticks}))
-    assert any("could not be switched off: switch it off by hand" in note for note in stopped.__notes__)
+    assert any("could not switch the block off: switch it off by hand" in note for note in stopped.__notes__)
 
 
 def test_a_block_that_is_on_as_it_is_to_be_is_not_switched_at_the_start(run):
