@@ -264,6 +264,7 @@ def carry_out(
                     bench.unit_under_test.temperature.maximum,
                 ),
                 least_samples=bench.least_samples,
+                setting_u_rad=bench.stand_distributions()["setting_error"].u,
                 slow_chamber_s=_slow_chamber_s(bench),
                 clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
                 on_settling=bar.settling,

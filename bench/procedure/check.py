@@ -14,6 +14,7 @@ from bench.model.block import COEFFICIENTS, hidden_axes
 from bench.procedure.plan import (
     SWITCHED_ON,
     Ask,
+    Level,
     Mount,
     Plan,
     Power,
@@ -46,7 +47,8 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
-            *_settling_problems(plan, bench), *_time_problems(plan), *_power_problems(plan, bench),
+            *_settling_problems(plan, bench), *_level_problems(plan, bench), *_time_problems(plan),
+            *_power_problems(plan, bench),
             *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
 
 
@@ -82,6 +84,24 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
             yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
         elif count < bench.least_samples:
             yield f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter takes"
+
+
+def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """Levelling takes a level, and a head that may stand at 0°."""
+    first = next((step for step in plan.steps if isinstance(step, Level)), None)
+    if first is None:
+        return
+    if bench.instruments.level is None:
+        yield (
+            f"step {first.key}: the platform is to be levelled, but the bench file has no level; state one under "
+            "instruments, or leave 'level' out in a copy of the procedure"
+        )
+    low_rad, high_rad = bench.head_limits_rad or (-bench.head_backoff_rad, 0.0)
+    if low_rad > -bench.head_backoff_rad + ROUNDING_RAD or high_rad < -ROUNDING_RAD:
+        yield (
+            f"step {first.key}: the level is read with the head at 0°, come to with rising angle, but the head may "
+            f"go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°"
+        )
 
 
 def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:

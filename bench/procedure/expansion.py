@@ -14,6 +14,7 @@ from bench.procedure.file import (
     IncludedFile,
     InputVerb,
     InstallationVerb,
+    LevelVerb,
     PowerVerb,
     PromptVerb,
     ReadVerb,
@@ -26,6 +27,7 @@ from bench.procedure.file import (
 from bench.procedure.plan import (
     SETTLING,
     Ask,
+    Level,
     Mount,
     OnFailure,
     Power,
@@ -117,6 +119,7 @@ class Expansion:
         self._noted: set[tuple[Path, Place]] = set()
         self._paths: dict[tuple[int, str], Path] = {}
         self._since_power: dict[tuple[str, int], int | None] = {}
+        self._levelled: tuple[str, int] | None = None
 
     def run(self, root: Path) -> tuple[Step, ...]:
         """Return the steps of the procedure in the file `root`."""
@@ -167,6 +170,8 @@ class Expansion:
             self._temperatures(entry.temperatures, (*place, "temperatures"), context)
         elif entry.power is not None:
             self._power(entry.power, context)
+        elif entry.level is not None:
+            self._level(entry.level, place, context)
         elif entry.include is not None:
             path = self._path_of(context.document, entry.include)
             inside = context.inside(self._documents[path], self._files[path])
@@ -186,8 +191,25 @@ class Expansion:
             self._once(context, (*place, "series"), text)
         self._mounted.add((verb.label, series))
         inside = replace(context, installation=verb.label, series=series)
+        if verb.level is not None:
+            key = self._key("level", inside.mount)
+            self._levelled = (verb.label, series)
+            self._steps.append(Level(key, *self._levelled, verb.level.settings, verb.level.within))
         self._steps.append(Mount(self._key("mount", inside.mount), verb.label, series))
         self._all(verb.steps, (*place, "steps"), inside)
+
+    def _level(self, verb: LevelVerb, place: Place, context: _Context) -> None:
+        """Read the level as the platform stands: what it was levelled for last has it at its end."""
+        if self._levelled is None:
+            text = (
+                "the platform was not levelled before: give an installation before it 'level: {}', so that this "
+                "shows how it has moved since"
+            )
+            self._once(context, (*place, "level"), text)
+            return
+        label, series = self._levelled
+        mount = label if series == 1 else f"{label}s{series}"
+        self._steps.append(Level(self._key("level", mount), label, series, verb.settings))
 
     def _next_series(self, label: str) -> int:
         return max((series for known, series in self._mounted if known == label), default=0) + 1

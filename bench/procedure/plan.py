@@ -15,6 +15,7 @@ from bench.procedure.steps import (
     SETTLING,
     Ask,
     InputSource,
+    Level,
     Mount,
     OnFailure,
     Power,
@@ -30,20 +31,20 @@ from bench.procedure.steps import (
 )
 from drivers.interfaces import PromptKind
 
-__all__ = ["SETTLING", "Ask", "InputSource", "Mount", "OnFailure", "OperatorTime", "Plan", "Power", "Read",
+__all__ = ["SETTLING", "Ask", "InputSource", "Level", "Mount", "OnFailure", "OperatorTime", "Plan", "Power", "Read",
            "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait"]  # fmt: skip
 
 _SAMPLE_OVERHEAD_S: Final = 0.01
 
 _STEPS: Final[Mapping[str, type[Step]]] = {
     "mount": Mount, "turn": Turn, "wait": Wait, "settle": Settle, "read": Read, "input": SelectInput,
-    "ask": Ask, "temperature": SetTemperature, "power": Power,
+    "ask": Ask, "temperature": SetTemperature, "level": Level, "power": Power,
 }  # fmt: skip
 """Every kind of step by the name it has in counts and in JSON, in the order in which they are told."""
 
 _NAMES: Final = {step: name for name, step in _STEPS.items()}
 _FIELDS: Final = {step: tuple(f.name for f in fields(step)) for step in _NAMES}
-_BY_OPERATOR: Final = (Mount, Turn, SelectInput, Ask, SetTemperature)
+_BY_OPERATOR: Final = (Mount, Turn, SelectInput, Ask, SetTemperature, Level)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +123,9 @@ class Plan:
                 seconds = self.operator_time.answer_s
             case Power():
                 seconds = power_duration_s(step, supply)
+            case Level():
+                seconds = step.settings * (self.operator_time.turn_s + 4.0 * self.operator_time.answer_s)
+                seconds += self.operator_time.mount_s * (step.within_rad is not None)
         return seconds
 
     def duration_by_kind_s(

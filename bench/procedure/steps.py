@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol, TypeVar
 
+from bench.base.arrays import ARCSEC
 from bench.base.words import APPROACH, degrees, duration
 from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Channel, Direction, PromptKind
@@ -217,7 +218,32 @@ class Power:
         return f"{again}, {warm if self.warm_up_s != 0.0 else 'without warm-up'}"
 
 
-Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature | Power
+@dataclass(frozen=True, slots=True)
+class Level:
+    """The level on the platform is read with the head at 0°, in two positions for each of so many `settings` of it.
+
+    With `within_rad` the platform is levelled first, and again where it is further off: for the mounting that
+    follows. Without it stands as it is found, for the mounting that it was levelled for.
+    """
+
+    key: str
+    installation: str
+    series: int
+    settings: int = 1
+    within_rad: float | None = None
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        where = f"installation {mount_in_words(self.installation, self.series)}"
+        if self.within_rad is None:
+            what = f"read the level as the platform stands, levelled for {where}"
+        else:
+            what = f"level the platform to {self.within_rad / ARCSEC:g}″ for {where}, read the level"
+        times = "" if self.settings == 1 else f", {self.settings} settings of the head"
+        return f"{what} in two positions{times}"
+
+
+Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature | Level | Power
 
 
 # --- the order of the channels ----------------------------------------------------------------------

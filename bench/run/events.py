@@ -68,10 +68,32 @@ class Powered:
     warmed_up_at: tuple[float, ...] = ()
 
 
-Result = Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered | Powered
+@dataclass(frozen=True)
+class Levelled:
+    """What the level showed with the head at 0°: α1 and α2 of the platform with their standard uncertainties.
+
+    `level_of` and `level_series` say for which mounting; `adjusted` that the platform was levelled before, else it
+    stood as it was found. `level_zero_arcsec` is the level's own zero along the shaft and across, `level_readings`
+    for each setting the head's angle, then along and across in the first and in the turned position, arcsec.
+    """
+
+    level_of: str
+    level_series: int
+    adjusted: bool
+    alpha1_arcsec: float
+    u_alpha1_arcsec: float
+    alpha2_arcsec: float
+    u_alpha2_arcsec: float
+    level_zero_arcsec: tuple[float, ...]
+    level_readings: tuple[tuple[float, ...], ...]
+
+
+Result = (
+    Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered | Levelled | Powered
+)
 """What a step brings; a wait brings none."""
 
-_KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered, Powered)
+_KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered, Levelled, Powered)
 """Results, which their fields tell apart in a record."""
 
 _FIELDS: Final[Mapping[Callable[..., Result], tuple[str, ...]]] = {

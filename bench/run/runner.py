@@ -84,6 +84,7 @@ class Runner:
     watch: Watch = lambda reading: ()
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
+    setting_u_rad: float = 0.0
     decider: Person | None = None
     slow_chamber_s: float = SLOW_AFTER_S
     clocks: ClockWatch | None = None
@@ -105,6 +106,7 @@ class Runner:
             on_settling=self.on_settling,
             block_limits_c=self.block_limits_c,
             least_samples=self.least_samples,
+            setting_u_rad=self.setting_u_rad,
             slow_chamber_s=self.slow_chamber_s,
             tell=self._tell,
         )

@@ -12,6 +12,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS
 from bench.procedure.plan import (
     Ask,
+    Level,
     Mount,
     Power,
     Read,
@@ -31,26 +32,29 @@ from bench.run.events import (
     CameToRest,
     EventType,
     InputSelected,
+    Levelled,
     Mounted,
     Powered,
     Result,
     TemperatureSet,
     Turned,
 )
+from bench.run.levelling import Levelling
 from bench.run.mounting import UNTOUCHED, mount_prompt, untouched_prompt
 from bench.run.power import UnitPower
 from bench.run.power_up import warm_up
 from bench.run.prompts import ask, confirm
 from bench.run.samples import describe
 from bench.run.settling import Criterion, Settling, wait_until_settled
+from drivers import interfaces
 from drivers.clock import Clock
 from drivers.interfaces import (
     BenchError,
     DividingHead,
     HeadPosition,
     Identity,
+    Inclination,
     Instrument,
-    Level,
     LimitExceeded,
     NotConnected,
     Person,
@@ -79,7 +83,7 @@ class Instruments:
     voltmeters: Sequence[Voltmeter]
     head: DividingHead
     chamber: ThermalChamber | None = None
-    level: Level | None = None
+    level: interfaces.Level | None = None
     power_supply: PowerSupply | None = None
     opened: set[str] = field(default_factory=set)
 
@@ -111,6 +115,7 @@ class Workbench:
     was mounted again in the middle of it; `power` is the block's supply, where it has one;
     `block_limits_c` are the temperatures that the block may have; `least_samples` is how few samples every
     voltmeter takes, by which signals are seen to settle.
+    `setting_u_rad` is the standard uncertainty of a setting of the head.
     After `slow_chamber_s` `tell` is told of a chamber that hardly moves.
     `temperature_c` is the temperature last read or told, `demanded_c` what the chamber was last sent to.
     """
@@ -126,6 +131,7 @@ class Workbench:
     least_samples: int = 1
     slow_chamber_s: float = SLOW_AFTER_S
     tell: Callable[[EventType, dict[str, Any]], None] = lambda kind, data: None
+    setting_u_rad: float = 0.0
     visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
     power: UnitPower | None = None
     _reference_v: float | None = field(default=None, init=False)
@@ -133,6 +139,7 @@ class Workbench:
     temperature_c: float | None = field(default=None, init=False)
     demanded_c: float | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
+    _level_zero: Inclination | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._chamber_watch = ChamberWatch(self.clock, self.slow_chamber_s, self.tell)
@@ -161,6 +168,8 @@ class Workbench:
                 return self._ask(step)
             case Power():
                 return self.switch(step)
+            case Level():
+                return self._level(step)
 
     def mount(self, step: Mount) -> Mounted:
         """Have the block mounted, and the temperature told where a person must tell it."""
@@ -227,6 +236,12 @@ class Workbench:
     def _turn(self, step: Turn) -> Turned:
         self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
+
+    def _level(self, step: Level) -> Levelled:
+        levelling = Levelling(self.instruments, self.person, self.setting_u_rad, self._level_zero)
+        found = levelling.carry_out(step)
+        self._position, self._level_zero = levelling.position, levelling.zero
+        return found
 
     def _wait(self, step: Wait) -> None:
         end_s = self.clock.now_s() + step.duration_s

@@ -364,7 +364,8 @@ class World(KeyedNumbers):
         if model.needs_history:
             before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
         visits = [*before, self._visit(pose, time_s)]
-        return np.asarray(readings_of(visits, model, self.settings.block)[-1])
+        signals: Floats = readings_of(visits, model, self.settings.block)[-1]
+        return signals
 
     def _visit(self, pose: Pose, time_s: float) -> Visit:
         on_since_s = self.power.on_since_s(self._past_s(time_s))
