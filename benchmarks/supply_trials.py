@@ -13,13 +13,15 @@ from unittest import mock
 import yaml
 
 import bench.assembly.served
+import bench.cli.resume
+import bench.cli.run
 from bench.run.folder import Run
 from benchmarks.fault_trials import ROOT, VALUE_V, command, exact
 from sim.bench import SimulatedBench
 from sim.world.power import Power
 from sim.world.rails import Disturbance
 
-TIMEOUT: Final = "3 s"
+TIMEOUT: Final = "2 s"
 READBACK_V: Final = 0.01
 """So far may what a supply measures be from what the rail has."""
 LOOKS: Final = 8
@@ -214,10 +216,19 @@ class Watch:
 
 @contextlib.contextmanager
 def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
-    """Within the context, a dry run has this disturbance."""
+    """Within the context, a dry run has this disturbance, and is not evaluated."""
     watch = Watch(disturbance)
-    with mock.patch.object(bench.assembly.served, "SimulatedBench", watch):
+    with (
+        mock.patch.object(bench.assembly.served, "SimulatedBench", watch),
+        mock.patch.object(bench.cli.run, "conclude", _no_page),
+        mock.patch.object(bench.cli.resume, "conclude", _no_page),
+    ):
         yield watch
+
+
+def _no_page(run: Run, target: str | None = None) -> int:
+    """Stand for the evaluation of a finished run, which is no part of a trial and takes most of its time."""
+    return 0
 
 
 # --- a trial ----------------------------------------------------------------------------------------

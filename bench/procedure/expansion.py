@@ -158,7 +158,20 @@ class Expansion:
             self._reading(entry.read, (*place, "read"), context)
         elif entry.input is not None:
             self._input(entry.input, (*place, "input"), context)
-        elif entry.wait is not None:
+        elif entry.temperatures is not None:
+            self._temperatures(entry.temperatures, (*place, "temperatures"), context)
+        elif entry.level is not None:
+            self._level(entry.level, place, context)
+        elif entry.include is not None:
+            path = self._path_of(context.document, entry.include)
+            inside = context.inside(self._documents[path], self._files[path])
+            self._all(self._files[path].steps, ("steps",), inside)
+        else:
+            self._alone(entry, context)
+
+    def _alone(self, entry: StepEntry, context: _Context) -> None:
+        """Take a verb that is of the whole bench and holds no steps."""
+        if entry.wait is not None:
             self._wait(entry.wait.duration, entry.wait.reason)
         elif entry.settle is not None:
             self._settle(entry.settle)
@@ -166,16 +179,8 @@ class Expansion:
             self._prompt(entry.prompt)
         elif entry.temperature is not None:
             self._temperature(entry.temperature, entry.temperature.at)
-        elif entry.temperatures is not None:
-            self._temperatures(entry.temperatures, (*place, "temperatures"), context)
         elif entry.power is not None:
             self._power(entry.power, context)
-        elif entry.level is not None:
-            self._level(entry.level, place, context)
-        elif entry.include is not None:
-            path = self._path_of(context.document, entry.include)
-            inside = context.inside(self._documents[path], self._files[path])
-            self._all(self._files[path].steps, ("steps",), inside)
 
     def _path_of(self, document: Document, name: str) -> Path:
         """Return the path by which an included file is known; the system is asked for it once."""
