@@ -7,6 +7,8 @@ from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
@@ -20,8 +22,6 @@ from sim.world.turning import HeadFault, HeadTurn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import numpy as np
 
     from bench.model import Block, ForwardModel
     from drivers.clock import Clock
@@ -364,7 +364,8 @@ class World(KeyedNumbers):
         if model.needs_history:
             before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
         visits = [*before, self._visit(pose, time_s)]
-        return np.asarray(readings_of(visits, model, self.settings.block)[-1])
+        signals: Floats = readings_of(visits, model, self.settings.block)[-1]
+        return signals
 
     def _visit(self, pose: Pose, time_s: float) -> Visit:
         on_since_s = self.power.on_since_s(self._past_s(time_s))
