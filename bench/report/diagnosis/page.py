@@ -55,6 +55,10 @@ def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance
         held_out=_held_out(diagnosis.gap),
         gap_bars=_drawn(plots.gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
         coefficients=_coefficients(shown),
+        blocks=[
+            (number, words.mountings_of(one), words.p_in_column(one.last.test.p, 2), _coefficients(one))
+            for number, one in enumerate(full.blocks, start=1)
+        ],
         tests=_tests(shown),
         joined=list(words.joined_in_words(shown)),
         less_certain=words.less_certain(shown.coefficients) if shown.after else [],
