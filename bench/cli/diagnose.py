@@ -101,12 +101,12 @@ def diagnose(
     except TooLittleLeft as found:
         if len(sources) > 1:
             raise
-        _told(found, loaded[0], json)
+        told(found, loaded[0], json)
         return 1 if strict else 0
     return 1 if strict and any(one.diagnosis.verdict != "agrees" for one in results) else 0
 
 
-def _told(found: TooLittleLeft, source: Source, target: str | None) -> None:
+def told(found: TooLittleLeft, source: Source, target: str | None) -> None:
     """Print and write mistakes that leave too little to fit anything, and what they leave."""
     from bench.api.diagnosis import body_of
     from bench.report.diagnosis.terminal import print_mistakes
