@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field, field_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import QuantityKind, Ratio, SizeA, SpanS, VoltageV, reads
@@ -21,17 +21,26 @@ OF_CURRENT: Final = QuantityKind("a rate of a current", "0.2 percent/K", "1/K")
 class SupplyTruth(FileModel):
     """What the simulated unit takes from its supply, and how it is without.
 
-    Each rail takes `current` at 23 degC, more by `current_by_temperature` for each kelvin, and `in_rush` times as
-    much at switching on, dying away with the time constant `in_rush_time`. `dead_offset` and `dead_noise` are the
-    standard deviations, over channels and over readings, of what its signals show without power.
+    Each rail takes `current` at 23 degC (where it is left out the middle of its window), more by
+    `current_by_temperature` for each kelvin, and `in_rush` times as much at switching on, dying away with the time
+    constant `in_rush_time`. Below the part `brown_out` of a rail's voltage it works no more; `dead_offset` and
+    `dead_noise` are the standard deviations, over channels and over readings, of what its signals then show.
     """
 
-    current: SizeA = 0.06
+    current: SizeA | None = None
     current_by_temperature: Annotated[float, reads(OF_CURRENT)] = 2e-3
-    in_rush: Ratio = 3.0
-    in_rush_time: SpanS = 0.2
+    in_rush: Annotated[Ratio, Field(ge=1.0)] = 3.0
+    in_rush_time: SpanS = 0.05
+    brown_out: Annotated[Ratio, Field(gt=0.0, lt=1.0)] = 0.8
     dead_offset: VoltageV = 2e-3
     dead_noise: VoltageV = 5e-4
+
+    @field_validator("in_rush_time")
+    @classmethod
+    def _takes_time(cls, in_rush_time_s: float) -> float:
+        if in_rush_time_s == 0.0:
+            raise ValueError("expected more than nothing: no capacitor is charged at once")
+        return in_rush_time_s
 
 
 OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)

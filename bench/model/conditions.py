@@ -44,6 +44,8 @@ class Conditions:
     (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. Of the supply,
     `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v`
     (n, rails) the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
+    `level_rad` (n, 4) is what a level showed in the mounting of the row: alpha1, alpha2 and their standard
+    uncertainties, NaN for nothing.
     """
 
     mounts: tuple[Mounting, ...]
@@ -59,6 +61,7 @@ class Conditions:
     turns: Floats | None = None
     began_s: Floats | None = None
     on_s: Floats | None = None
+    level_rad: Floats | None = None
     supply_v: Floats | None = None
 
     def __len__(self) -> int:
@@ -126,6 +129,17 @@ class Conditions:
         between = np.interp(clock_s, clock_s[known][order], values[known][order])
         return np.where(known, values, between)
 
+    def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
+        """Return what a level showed: by mounting and column of the stand angles the angle and its u, rad."""
+        if self.level_rad is None:
+            return {}
+        found: dict[tuple[int, int], tuple[float, float]] = {}
+        for mount in range(len(self.mounts)):
+            rows = self.level_rad[(self.mount == mount) & np.isfinite(self.level_rad).all(axis=1)]
+            for column in (0, 1) if len(rows) else ():
+                found[mount, column] = float(rows[0, column]), float(rows[0, 2 + column])
+        return found
+
     def select(self, rows: Mask) -> Conditions:
         """Return the rows where the mask (n,) is true, with the mountings that they are of."""
         used, mount = np.unique(self.mount[rows], return_inverse=True)
@@ -162,6 +176,7 @@ class Conditions:
         reference_c: float = REFERENCE_C,
         began_s: Floats | None = None,
         on_s: Floats | None = None,
+        level_rad: Floats | None = None,
         supply_v: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
@@ -186,5 +201,6 @@ class Conditions:
             reference_c=reference_c,
             began_s=began_s,
             on_s=on_s,
+            level_rad=level_rad,
             supply_v=supply_v,
         )

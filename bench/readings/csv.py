@@ -15,6 +15,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.regular import read_given
 from bench.readings.cells import as_cell, of_cell
+from bench.readings.level_columns import LEVEL_COLUMNS, wrong_level_cell
 from bench.readings.numbers import BadCell, angle, direction, integer, number
 from bench.readings.rails import is_of_a_rail
 from bench.readings.table import (
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 LISTED_AT_ONCE: Final = 20
 REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
 OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
-AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v")
+AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v", *LEVEL_COLUMNS)
 """Promised columns that no number is made of here."""
 
 
@@ -241,6 +242,8 @@ def _row(
         scan_order(text.get(SCAN_ORDER, ""))
     except ValueError as problem:
         raise BadCell(SCAN_ORDER, str(problem)) from None
+    if wrong := wrong_level_cell(text):
+        raise BadCell(*wrong)
     for name in filter(is_of_a_rail, header):
         number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
@@ -343,7 +346,5 @@ ROUNDED: Final = 16
 
 def _signal(value: float) -> str:
     """Return `value` as text, without what the sum of a mean has rounded; empty for not given."""
-    if math.isnan(value):
-        return ""
     short = float(f"{value:.12g}")
-    return repr(short if abs(short - value) <= ROUNDED * math.ulp(value) else float(value))
+    return _text(short if abs(short - value) <= ROUNDED * math.ulp(value) else value)

@@ -30,6 +30,18 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "range_v": ("V", "range of the meter"),
     "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
+    "alpha1_arcsec": ("″", "tilt of the shaft's axis in this mounting, as a level showed it"),
+    "alpha2_arcsec": ("″", "as `alpha1_arcsec`, about the shaft: what the head's zero is off the vertical"),
+    "u_alpha1_arcsec": ("″", "standard uncertainty of `alpha1_arcsec`"),
+    "u_alpha2_arcsec": (
+        "″",
+        "standard uncertainty of `alpha2_arcsec`; the four stand together or not at all",
+    ),
+    "drift_alpha1_arcsec_h": (
+        "″/h",
+        "how fast the platform tilted along the shaft, where the level was read again; the same in all rows",
+    ),
+    "drift_alpha2_arcsec_h": ("″/h", "as `drift_alpha1_arcsec_h`, about the shaft"),
 }
 """What each column means; `page` refuses to be written where the reader knows others."""
 

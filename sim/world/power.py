@@ -10,111 +10,34 @@ from __future__ import annotations
 import math
 import threading
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final
 
-REFERENCE_C: Final = 23.0
-"""The temperature at which a rail takes the current that is stated for it, °C."""
+from sim.world.rails import (
+    REFERENCE_C,
+    Disturbance,
+    PowerSettings,
+    Rail,
+    Shown,
+    Stage,
+    Trip,
+    Violation,
+)
+
+if TYPE_CHECKING:
+    from sim.world.chance import KeyedNumbers
 
 _CLOSE_S: Final = 1e-6
 """So exactly is it found when a rail crosses a limit."""
 
-Trip = Literal["voltage", "current"]
-DisturbanceKind = Literal["sag", "drift", "load", "open", "off", "cut"]
-DISTURBANCES: Final[Mapping[DisturbanceKind, str]] = {
-    "sag": "the output gives less than it is set to, by `size` of it",
-    "drift": "its voltage runs away by `size`, V/h",
-    "load": "the rail takes `size` times its current",
-    "open": "a contact between output and block opens",
-    "off": "somebody switches the output off at the front panel",
-    "cut": "the mains fail; afterwards the supply is as it is when it is switched on",
-}
 
-
-@dataclass(frozen=True)
-class Rail:
-    """A rail of the block: by which output it is fed, its nominal voltage (V), the current that it takes then (A).
-
-    Within `working_v` the block works; never may it be outside of `absolute_v`.
-    """
-
-    name: str
-    output: str
-    nominal_v: float
-    working_v: tuple[float, float]
-    absolute_v: tuple[float, float]
-    current_a: float
-
-
-@dataclass(frozen=True)
-class PowerSettings:
-    """What the block takes, and what its signals show without power (standard deviations, V).
-
-    The current grows by `current_by_temperature` of it for each kelvin; at switching on it is `in_rush` times as
-    large, which dies away with `in_rush_time_s`.
-    """
-
-    rails: tuple[Rail, ...] = ()
-    current_by_temperature: float = 2e-3
-    in_rush: float = 3.0
-    in_rush_time_s: float = 0.2
-    dead_offset_v: float = 2e-3
-    dead_noise_v: float = 5e-4
-
-
-@dataclass(frozen=True)
-class Disturbance:
-    """Something that happens to an output (all of them, where it names none) from `at_s` of the clock on."""
-
-    kind: DisturbanceKind
-    at_s: float
-    output: str = ""
-    size: float = 0.0
-    lasts_s: float = math.inf
-
-
-@dataclass(frozen=True)
-class Stage:
-    """An output from `since_s` on: switched on or not (`on_since_s`), set to V, limited to A, protected.
-
-    It trips at `trip_v`, and where `trip_after_s` is not None when its current is limited for so long. The rest
-    is what disturbs it.
-    """
-
-    since_s: float
-    on: bool = False
-    on_since_s: float = -math.inf
-    set_v: float = 0.0
-    limit_a: float = 0.0
-    trip_v: float | None = None
-    trip_after_s: float | None = None
-    tripped: Trip | None = None
-    sag: float = 0.0
-    offset_v: float = 0.0
-    drift_v_s: float = 0.0
-    load: float = 1.0
-    open: bool = False
-
-
-@dataclass(frozen=True)
-class Shown:
-    """What is at the terminals of an output: V, A, and whether the current is limited."""
-
-    voltage_v: float
-    current_a: float
-    limiting: bool
-
-
-@dataclass(frozen=True)
-class Violation:
-    """A rail was outside of what the block may be given: its voltage where it was farthest, from when to when."""
-
-    rail: str
-    from_s: float
-    to_s: float
-    voltage_v: float
+def dead_v(settings: PowerSettings, numbers: KeyedNumbers, channel: str, time_s: float) -> float:
+    """Return what an output of the block shows without power, V: next to nothing, but not nothing."""
+    offset = numbers.fixed_random("dead signal", channel).standard_normal()
+    noise = numbers.fixed_random("dead signal", channel, f"{time_s:.6f}").standard_normal()
+    return float(settings.dead_offset_v * offset + settings.dead_noise_v * noise)
 
 
 @dataclass
@@ -135,7 +58,8 @@ class Power:
     """The outputs of the supply and the rails of the block; `block_c` gives the block's temperature at a time.
 
     A supply changes its outputs with `change`, reads them with `stage` and `shown`; `returned` is called when the
-    mains come back. All times are those of the world's clock. May be called from any thread.
+    mains come back; with `one_switch` its outputs are switched together. All times
+    are those of the world's clock. May be called from any thread.
     """
 
     def __init__(
@@ -148,6 +72,7 @@ class Power:
         self.settings = settings
         self._lock = lock
         self.violations: list[Violation] = []
+        self.one_switch = False
         self.returned: Callable[[float], None] = lambda now_s: None
         self._block_c = block_c
         self._reached_s = now_s
@@ -173,7 +98,8 @@ class Power:
         fed = [name for name, output in self._outputs.items() if output.rails]
         if disturbance.output and disturbance.output not in fed:
             raise ValueError(f"no rail is fed by an output {disturbance.output}; those are {', '.join(fed)}")
-        names = [disturbance.output] if disturbance.output else fed
+        together = not disturbance.output or (disturbance.kind == "off" and self.one_switch)
+        names = fed if together else [disturbance.output]
         begin, end = disturbance.at_s, disturbance.at_s + disturbance.lasts_s
         undisturbed: dict[str, dict[str, object]] = {
             "sag": {"sag": 0.0},
@@ -302,11 +228,14 @@ class Power:
     def _watch(self, begin_s: float, end_s: float) -> None:
         """Note between two times without an event what befalls the rails: power, and limits passed."""
         for rail in self.settings.rails:
-            at = [self._rail_v(rail, begin_s), self._rail_v(rail, end_s)]
+            volts = [self._rail_v(rail, time_s) for time_s in (begin_s, end_s)]
             low_v, high_v = rail.absolute_v
-            worst_v = max(at, key=lambda v: max(v - high_v, low_v - v))
+            worst_v = max(volts, key=lambda v: max(v - high_v, low_v - v))
             if not low_v <= worst_v <= high_v:
-                self._note(Violation(rail.name, begin_s, end_s, worst_v))
+                self._note(Violation(rail.name, begin_s, end_s, worst_v, "V"))
+            worst_a = max(self._rail_a(rail, time_s) for time_s in (begin_s, end_s))
+            if worst_a > rail.absolute_a:
+                self._note(Violation(rail.name, begin_s, end_s, worst_a, "A"))
         for time_s in (begin_s, end_s):
             alive = self._alive(time_s)
             if alive != self._lives[-1][1]:
@@ -315,9 +244,10 @@ class Power:
     def _note(self, violation: Violation) -> None:
         """Take down that a rail is outside of its limits; what goes on is one."""
         for index, known in enumerate(self.violations):
-            if known.rail == violation.rail and known.to_s == violation.from_s:
-                worst_v = max(known.voltage_v, violation.voltage_v, key=abs)
-                self.violations[index] = replace(known, to_s=violation.to_s, voltage_v=worst_v)
+            same = (known.rail, known.unit) == (violation.rail, violation.unit)
+            if same and known.to_s == violation.from_s:
+                worst = max(known.value, violation.value, key=abs)
+                self.violations[index] = replace(known, to_s=violation.to_s, value=worst)
                 return
         self.violations.append(violation)
 
@@ -343,6 +273,12 @@ class Power:
         output = self._outputs[rail.output]
         stage = output.at(time_s)
         return 0.0 if stage.open else self._shown(output, stage, time_s).voltage_v
+
+    def _rail_a(self, rail: Rail, time_s: float) -> float:
+        stage = self._outputs[rail.output].at(time_s)
+        if stage.open or not stage.on:
+            return 0.0
+        return abs(self._rail_v(rail, time_s)) * self._conductance(rail, stage, time_s)
 
     def _shown(self, output: _Output, stage: Stage, time_s: float) -> Shown:
         if not stage.on:

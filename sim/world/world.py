@@ -7,6 +7,8 @@ from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
@@ -14,13 +16,12 @@ from sim.world.heat import Heat
 from sim.world.inputs import Terminals
 from sim.world.levelling import LevelSettings, platform_tilt_rad
 from sim.world.pose import Pose, Visit, readings_of
-from sim.world.power import Power, PowerSettings
+from sim.world.power import Power, dead_v
+from sim.world.rails import PowerSettings
 from sim.world.turning import HeadFault, HeadTurn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import numpy as np
 
     from bench.model import Block, ForwardModel
     from drivers.clock import Clock
@@ -346,7 +347,7 @@ class World(KeyedNumbers):
         with self._lock:
             pose = self._poses[max(0, bisect_right(self._poses, at_s, key=lambda p: p.since_s) - 1)]
             if pose.input_v is None and not self.power.feeds_block(self._past_s(at_s)):
-                return self._dead_v(channel, at_s) + self._voltmeter_error_v[channel]
+                return dead_v(self.settings.power, self, channel, at_s) + self._voltmeter_error_v[channel]
             # Without effects the output at rest depends on the pose alone; an effect may look at time and heat.
             at_rest = at_s >= pose.turn.arrives_s and not self.settings.model.effects
             key = id(pose) if at_rest else (id(pose), at_s, self._scan(pose))
@@ -363,7 +364,8 @@ class World(KeyedNumbers):
         if model.needs_history:
             before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]
         visits = [*before, self._visit(pose, time_s)]
-        return np.asarray(readings_of(visits, model, self.settings.block)[-1])
+        signals: Floats = readings_of(visits, model, self.settings.block)[-1]
+        return signals
 
     def _visit(self, pose: Pose, time_s: float) -> Visit:
         on_since_s = self.power.on_since_s(self._past_s(time_s))
@@ -380,13 +382,6 @@ class World(KeyedNumbers):
     def _past_s(self, time_s: float) -> float:
         """Return a time up to now: a meter on a bus may be ahead of the bench, whose power nobody foresees."""
         return min(time_s, self.clock.now_s())
-
-    def _dead_v(self, channel: Channel, time_s: float) -> float:
-        """Return what an output without power shows, V: next to nothing, but not nothing."""
-        settings = self.settings.power
-        offset = self.fixed_random("dead signal", channel).standard_normal()
-        noise = self.fixed_random("dead signal", channel, f"{time_s:.6f}").standard_normal()
-        return float(settings.dead_offset_v * offset + settings.dead_noise_v * noise)
 
     def _scan(self, pose: Pose) -> tuple[int, ...]:
         """Return the channels in the order of the scan; those that nobody triggered yet come after the others."""

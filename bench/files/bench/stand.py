@@ -122,7 +122,11 @@ class VoltageError(ErrorSize):
 
 
 class StandSection(FileModel):
-    """The stand errors, alpha1…alpha4 and Delta U_M of the paper; the last two are zero unless stated."""
+    """The stand errors, alpha1…alpha4 and Delta U_M of the paper; mounting roll and offset are zero unless stated.
+
+    `foundation` is by how much the levelled platform tilts in a day. A levelling in a run takes the place of
+    `axis_tilt` and `zero_offset` in its mounting.
+    """
 
     axis_tilt: AngleError
     zero_offset: AngleError
@@ -131,6 +135,7 @@ class StandSection(FileModel):
     voltmeter_error: VoltageError
     mounting_roll: AngleError | None = None
     mounting_offset: AngleError | None = None
+    foundation: AngleError | None = None
 
 
 class InstallationSection(FileModel):
