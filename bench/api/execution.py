@@ -27,7 +27,6 @@ from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missi
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import ForwardModel
-from bench.model.effects.base import PASS
 from bench.procedure.load import Procedure, check, load_procedure
 from bench.procedure.plan import Plan, Read
 from bench.run.chamber_watch import SLOW_AFTER_S
@@ -349,26 +348,6 @@ def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
         following=following,
     )
     return Watcher(warning)
-
-
-def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the simulated world obeys: effects of the bench file and of the model file.
-
-    Raises `Refused` where one is of single passes: the world is read from outside, and knows of no pass.
-    """
-    installations = bench.installation_models()
-    effects = bench.applied_effects()
-    if model is not None:
-        effects += load_model(model, installations).applied_effects()
-    for applied in effects:
-        passes = [label for label in applied.installations if PASS in label]
-        if passes:
-            raise Refused(
-                f"effect {applied.effect.name} of {', '.join(passes)}: the simulated bench has effects of whole "
-                "mountings and cannot have one of single passes; name the installations alone (such as "
-                f"'{passes[0].split(PASS)[0]}'), or leave it out"
-            )
-    return ForwardModel(installations, effects)
 
 
 def _elapsed_s(history: History) -> float:
