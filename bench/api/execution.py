@@ -18,6 +18,7 @@ from rich.console import Console
 from bench.api.errors import Refused
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
+from bench.api.simulated_truth import simulated_truth
 from bench.api.taken import bench_path, why_taken
 from bench.api.traceability import remarks
 from bench.assembly.served import Assembly, dry_bench, real_bench
