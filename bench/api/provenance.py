@@ -43,7 +43,7 @@ def provenance(source: Source) -> dict[str, str]:
         stated["exported from run"] = origin.run
     if origin is not None:
         stated.update(_measured(origin))
-    if supply := ranges_in_words(source.readings.extra):
+    if supply := ranges_in_words({name: cells.tolist() for name, cells in source.readings.extra.items()}):
         stated["supply of the block"] = supply
     if run is not None:
         head = record_head(run)
