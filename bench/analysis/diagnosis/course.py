@@ -175,7 +175,7 @@ def _p_left(whitened: Whitened, data: Data, naming: Naming) -> float:
 
 
 def _rank(search: Search, whitened: Whitened, ratio: int, columns: tuple[int, ...]) -> int:
-    gram = whitened.gram[ratio][np.ix_(columns, columns)]
+    gram = whitened.among(ratio, columns)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     return int(np.linalg.matrix_rank(gram * np.outer(scale, scale), tol=1e-6, hermitian=True))
 

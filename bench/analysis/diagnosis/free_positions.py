@@ -178,7 +178,7 @@ def _threshold(whitened: Whitened, count: int) -> Threshold:
 
 def _rank(whitened: Whitened, naming: Naming) -> int:
     chosen = list(naming.columns)
-    gram = whitened.gram[0][np.ix_(chosen, chosen)]
+    gram = whitened.among(0, chosen)
     return int(np.linalg.matrix_rank(gram, hermitian=True)) if chosen else 0
 
 
@@ -195,7 +195,7 @@ def _found(
 ) -> FreeFound:
     variant = one.variant
     columns = list(naming.columns)
-    gram = whitened.gram[0][np.ix_(columns, columns)] + np.eye(len(columns)) / KNOWN_SIZE**2
+    gram = whitened.among(0, columns) + np.eye(len(columns)) / KNOWN_SIZE**2
     covariance = np.linalg.inv(gram)
     along = whitened.reduce(rows.response[:, None]).along[0, columns, 0]
     place = next(p for f, p in naming.parts() if f is one)

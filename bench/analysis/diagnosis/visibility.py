@@ -67,7 +67,7 @@ def hidden(
 
 def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list[tuple[str, str]]]:
     candidates = whitened.candidates
-    seen = np.sqrt(np.maximum(np.diagonal(whitened.gram[ratio]), 0.0))
+    seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0))
     best: dict[tuple[str, str, str], float] = {}
     for variant in candidates.variants:
         if variant.named:

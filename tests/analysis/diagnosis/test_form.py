@@ -73,7 +73,10 @@ def test_its_columns_are_differences_of_the_forward_model(terms):
             size = dictionary.candidates.scale[column]
             one = np.asarray(size) if kind.channel is None else size * np.eye(3)[kind.channel]
             added = linear.effect_column(AppliedEffect(effect, {**values, kind.parameter: one}))
-            np.testing.assert_allclose(dictionary.candidates.columns[:, column], added, atol=1e-18)
+            # the stand and the head are made linear: what is beyond grows with the square of an angle
+            turned = effect.stage in {Stage.STAND, Stage.HEAD_ANGLE}
+            atol = 2e-4 * float(np.max(np.abs(added))) if turned else 1e-15
+            np.testing.assert_allclose(dictionary.candidates.columns[:, column], added, rtol=1e-7, atol=atol)
 
 
 @pytest.mark.slow
