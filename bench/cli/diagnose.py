@@ -259,7 +259,11 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
             write_model_file(
                 path,
                 after.model.name,
-                (*after.effects[: len(source.model.effects)], *full.diagnosis.applied),
+                (
+                    *after.effects[: len(source.model.effects)],
+                    *full.diagnosis.applied,
+                    *full.diagnosis.left_open,
+                ),
                 parent=source.model.name,
                 data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256_with_copy(full)))),
                 evidence=evidence_in_words(full),

@@ -28,6 +28,7 @@ from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
 from bench.analysis.diagnosis.joint import find_mistakes_in_each, with_blocks
 from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.known_together import known_together
+from bench.analysis.diagnosis.left_open import left_open
 from bench.analysis.diagnosis.looked import look
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
@@ -82,7 +83,8 @@ def diagnose(
     registered = register(linear, limit)
     noise = noise_size(whitened, data, naming.columns)
     sized = fit_found(linear, candidates, naming, noise)
-    in_part = beside(candidates, naming, sized, channels_of(whitened, data, naming))
+    others = beside(candidates, naming, sized, channels_of(whitened, data, naming))
+    in_part = tuple(applied for of_find in others for applied in of_find)
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
     ratio = RATIOS.index(near_ratios(linear, noise)[1])
@@ -131,6 +133,7 @@ def diagnose(
         naming=naming,
         fitted=fitted,
         in_part=in_part,
+        left_open=left_open(linear, candidates, naming, others, fitted, noise),
         noise=noise,
         p_left=p_left,
         findings=findings,

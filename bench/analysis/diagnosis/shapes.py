@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -54,16 +54,15 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
-) -> tuple[AppliedEffect, ...]:
-    """Return what the things found may have of other shapes: values of zero with their prior u, SI.
+) -> tuple[tuple[AppliedEffect, ...], ...]:
+    """Return what each of the things found may have of other shapes: values of zero with their prior u, SI.
 
     `sized` are the sizes with the shapes that were found, `channels` (3,) how plausible it is of each find, by
     its number, that a channel has it (`channels_of`).
     """
     return tuple(
-        applied
+        tuple(_of(candidates, found.variant, sized.amplitudes[mine], (channels or {}).get(number)))
         for number, (found, mine) in enumerate(naming.parts())
-        for applied in _of(candidates, found.variant, sized.amplitudes[mine], (channels or {}).get(number))
     )
 
 
@@ -155,19 +154,31 @@ def _in_other_channels(
 
 def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> LinearSystem:
     """Return the system with what the effects may have of other shapes among what is unknown by a prior."""
-    columns = [column for applied in others for column in _columns(linear, applied)]
+    columns = [piece.column for piece in pieces(linear, others)]
     if not columns:
         return linear
     return replace(linear, random=np.column_stack([linear.random, *columns]))
 
 
-def _columns(linear: LinearSystem, applied: AppliedEffect) -> Iterator[Floats]:
-    """Yield the rows (N,) of one prior standard deviation of each parameter."""
-    shape = tuple((p.name, float(applied.values[p.name])) for p in applied.effect.parameters if p.is_shape)
-    for name, u in applied.u.items():
-        parameter = next(p for p in applied.effect.parameters if p.name == name)
-        of = plausible_columns(linear, applied.effect, parameter, shape, applied.installations)
-        for channel, column in of.items():
-            size = float(u[() if channel is None else channel]) / parameter.plausible
-            if size > 0.0 and np.any(column):
-                yield column * size
+class Piece(NamedTuple):
+    """One size that is open: its effect, its parameter and channel (None: of all), the rows (N,) of one prior u."""
+
+    applied: AppliedEffect
+    parameter: str
+    channel: int | None
+    column: Floats
+
+
+def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[Piece]:
+    """Yield the sizes that show in these readings."""
+    for applied in others:
+        shape = tuple(
+            (p.name, float(applied.values[p.name])) for p in applied.effect.parameters if p.is_shape
+        )
+        for name, u in applied.u.items():
+            parameter = next(p for p in applied.effect.parameters if p.name == name)
+            of = plausible_columns(linear, applied.effect, parameter, shape, applied.installations)
+            for channel, column in of.items():
+                size = float(u[() if channel is None else channel]) / parameter.plausible
+                if size > 0.0 and np.any(column):
+                    yield Piece(applied, name, channel, column * size)

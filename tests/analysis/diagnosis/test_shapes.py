@@ -57,7 +57,7 @@ def test_biases_after_a_fitted_warm_up_are_within_their_u(taus_min):
         noise = NoiseSize(NOISE_V, STAND["setting_error"], 120)
         naming = named(ready, (0, 1), 20)
         sized = fit_found(ready.linear, ready.candidates, naming, noise)
-        in_part = beside(ready.candidates, naming, sized)
+        (in_part,) = beside(ready.candidates, naming, sized)
         whole = fit_found(with_other_shapes(ready.linear, in_part), ready.candidates, naming, noise)
         for name, fit in (("sized", sized), ("whole", whole)):
             off = ready.linear.block.vector + fit.mean[:12] - TRUTH
@@ -75,10 +75,10 @@ def test_what_some_channels_have_another_may_have_as_far_as_that_is_plausible():
     naming = Naming((Found(drift, 100.0, 100.0, 30.0),), -1.0)
     sized = fit_found(ready.linear, ready.candidates, naming, NoiseSize(NOISE_V, STAND["setting_error"], 120))
     largest = max(abs(sized.amplitudes)) * ready.candidates.scale[drift.columns[0]]
-    (one,) = beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.25, 1.0])})
+    ((one,),) = beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.25, 1.0])})
     assert one.channels == ("y",)
     assert one.u["rate"] == pytest.approx([0.0, 0.5 * largest, 0.0])
-    assert beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.0, 1.0])}) == ()
+    assert beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.0, 1.0])}) == ((),)
 
 
 def test_a_voltmeter_that_is_not_linear_has_no_gain_that_could_be_told():
@@ -90,7 +90,7 @@ def test_a_voltmeter_that_is_not_linear_has_no_gain_that_could_be_told():
     )
     naming = Naming((Found(bent, 100.0, 100.0, 30.0),), -1.0)
     sized = fit_found(ready.linear, ready.candidates, naming, NoiseSize(NOISE_V, STAND["setting_error"], 120))
-    (gain,) = beside(ready.candidates, naming, sized)
+    ((gain,),) = beside(ready.candidates, naming, sized)
     cubic_v = abs(sized.amplitudes[0]) * ready.candidates.scale[bent.columns[0]]
     assert gain.effect.name == "voltmeter_gain"
     assert float(gain.u["gain"]) == pytest.approx(cubic_v / 2.5)
