@@ -97,6 +97,11 @@ class Conditions:
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
 
     @cached_property
+    def memory(self) -> dict[Any, Any]:
+        """What was worked out of these conditions alone, for who needs it again and again."""
+        return {}
+
+    @cached_property
     def head_turns(self) -> HeadTurns:
         """How far the head was turned up to each reading."""
         return HeadTurns(self)

@@ -66,7 +66,7 @@ class OfGram:
 
     def among(self, columns: Ints) -> Floats:
         """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
-        return self.gram[:, columns[..., :, None], columns[..., None, :]]
+        return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
 
     def at(self, ratio: int) -> OfGram:
         """Return those of one ratio alone."""
