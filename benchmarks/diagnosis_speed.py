@@ -3,8 +3,8 @@
     python -m benchmarks.diagnosis_speed --each 17
 
 Cases are those of the blind trial, in the paper's design: nothing hidden, one effect, one that is in no catalogue.
-Each is diagnosed twice: as a first design, for which the threshold is simulated, and with that in the cache. One core.
-Promised: less than 60 s and less than 1 s.
+Each is diagnosed twice: as a first design, for which the threshold is simulated, and with that in the cache.
+One core. Promised: less than 60 s and less than 1 s.
 """
 
 from __future__ import annotations

@@ -119,11 +119,11 @@ class ForwardModel:
 
     def _with_turns(self, conditions: Conditions) -> Conditions:
         """Return the conditions with how the block sits in them; the same object as before for the same bench."""
-        of, turned = conditions.memory.get("turned", (None, None))
-        if turned is None or of is not self.installations:
-            turned = replace(conditions, turns=self._turns(conditions))
-            conditions.memory["turned"] = self.installations, turned
-        return turned
+        kept: tuple[object, Conditions] | None = conditions.memory.get("turned")
+        if kept is None or kept[0] is not self.installations:
+            kept = self.installations, replace(conditions, turns=self._turns(conditions))
+            conditions.memory["turned"] = kept
+        return kept[1]
 
     def _turns(self, conditions: Conditions) -> Floats:
         """Return how the block sits in each mounting, shape (mounts, 3, 3), NaN where it is not known."""

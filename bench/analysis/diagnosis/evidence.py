@@ -93,13 +93,13 @@ class Whitened:
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of some columns for one ratio."""
-        return self.products.at(ratio).among(np.array(columns, dtype=np.int64))[0]
+        return np.asarray(self.products.at(ratio).among(np.array(columns, dtype=np.int64))[0])
 
     @cached_property
     def square(self) -> Floats:
         """The square of each column, shape (ratios, P)."""
         single = np.arange(self.candidates.columns.shape[1])[:, None]
-        return self.products.among(single)[..., 0, 0]
+        return np.asarray(self.products.among(single)[..., 0, 0])
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:

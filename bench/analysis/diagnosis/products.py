@@ -58,11 +58,11 @@ class OfGram:
 
     def across(self, columns: Ints) -> Floats:
         """Return those of some columns (k,) with all, shape (ratios, k, P)."""
-        return self.gram[:, columns]
+        return np.asarray(self.gram[:, columns])
 
     def across_at(self, ratio: int, columns: Ints) -> Floats:
         """Return the same for one ratio, shape (k, P)."""
-        return self.gram[ratio][columns]
+        return np.asarray(self.gram[ratio][columns])
 
     def among(self, columns: Ints) -> Floats:
         """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
