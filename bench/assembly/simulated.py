@@ -13,7 +13,9 @@ from drivers.clock import Clock
 from sim.bench import SimulatedMeter
 from sim.wires.faults import Fault
 from sim.wires.session import Dialect
+from sim.world.levelling import LevelSettings
 from sim.world.operator import OperatorSettings
+from sim.world.rails import PowerSettings, Rail
 from sim.world.world import World, WorldSettings
 
 
@@ -29,8 +31,47 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
         chamber_rate_c_s=truth.chamber.rate,
         chamber_lag_s=truth.chamber.lag,
         chamber_off_lag_s=truth.chamber.off_lag,
+        power=power_of(bench),
+        level=LevelSettings(
+            truth.level.zero_along, truth.level.zero_across, truth.level.noise, truth.level.scale
+        ),
     )
     return World(settings, clock)
+
+
+def power_of(bench: BenchFile) -> PowerSettings:
+    """Return what the simulated block takes from the supply of the bench: nothing where it has none."""
+    truth, feed = bench.simulation.power_supply, bench.unit_under_test.supply
+    if feed is None or bench.instruments.power_supply is None:
+        return PowerSettings()
+    rails = [
+        Rail(
+            name=rail.name,
+            output=rail.output,
+            nominal_v=rail.voltage,
+            working_v=_span(
+                truth.brown_out * rail.voltage, max(rail.limits.minimum, rail.limits.maximum, key=abs)
+            ),
+            absolute_v=(rail.limits.minimum, rail.limits.maximum),
+            current_a=(rail.current.minimum + rail.current.maximum) / 2.0
+            if truth.current is None
+            else truth.current,
+            absolute_a=rail.limits.current,
+        )
+        for rail in feed.rails
+    ]
+    return PowerSettings(
+        tuple(rails),
+        current_by_temperature=truth.current_by_temperature,
+        in_rush=truth.in_rush,
+        in_rush_time_s=truth.in_rush_time,
+        dead_offset_v=truth.dead_offset,
+        dead_noise_v=truth.dead_noise,
+    )
+
+
+def _span(one: float, other: float) -> tuple[float, float]:
+    return min(one, other), max(one, other)
 
 
 def operator_of(bench: BenchFile) -> OperatorSettings:
@@ -65,11 +106,11 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
 
 
 def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
-    """Return by the name of each GPIB adapter the meters behind it with their addresses."""
+    """Return by the name of each GPIB adapter the instruments behind it with their addresses."""
     buses: dict[str, dict[str, int]] = {name: {} for name in bench.instruments.adapters.values()}
-    for meter in bench.instruments.voltmeters:
-        if meter.place is not None:
-            buses[bench.instruments.adapters[meter.place.adapter]][meter.name] = meter.place.address
+    for section in bench.instruments.all():
+        if isinstance(section, WiredForm) and section.place is not None:
+            buses[bench.instruments.adapters[section.place.adapter]][section.name] = section.place.address
     return buses
 
 

@@ -32,7 +32,6 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.analysis.diagnosis.free_positions import FreeDiagnosis
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
     from bench.api.diagnosis import Body
     from bench.api.source import Request, Source
@@ -75,15 +74,18 @@ def diagnose(
 ) -> int:
     """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
     one_thread()
-    from bench.analysis.diagnosis.free_positions import all_free
     from bench.analysis.diagnosis.full import TooLittleLeft
+    from bench.api.free_diagnosis import free_sources
     from bench.api.source import Request, load_sources
+    from bench.cli.free import diagnosed_free
 
     printing.check_target(json)
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
     loaded = load_sources(request)
-    if all_free([source.readings for source in loaded]):
-        free = _free(loaded, json, together=together, one_sensor=one_block)
+    if free_sources(loaded):
+        free = diagnosed_free(
+            loaded, json, together=together, one_block=one_block, accept_first=accept_first, report=report
+        )
         return 1 if strict and any(one.verdict != "agrees" for one in free) else 0
     try:
         results = diagnosed(
@@ -145,24 +147,6 @@ def diagnosed(
                 results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
         printing.write_json([one.to_dict() for one in results], target)
         _print(results, out, alone=alone)
-    return results
-
-
-def _free(
-    loaded: list[Source], target: str | None, *, together: bool, one_sensor: bool | None
-) -> list[FreeDiagnosis]:
-    """Diagnose free positions, which have nothing but |a| = 1 g: no page is drawn and no model written."""
-    from bench.analysis.diagnosis.free_positions import diagnose_free
-    from bench.report.diagnosis.free_terminal import print_free
-
-    out = printing.console(json=target)
-    results = []
-    for body in [loaded] if together else [[source] for source in loaded]:
-        tables = [replace(source.readings, source=source.name) for source in body]
-        results.append(diagnose_free(tables, one_sensor))
-    printing.write_json([one.to_dict() for one in results], target)
-    for one in results:
-        print_free(one, out)
     return results
 
 
@@ -253,7 +237,7 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
         return None
     file = source.request.model
     given = None if file is None else load_model(file, source.model.installations).data_sha256
-    for path in _free_files(body.output("-model.yaml")):
+    for path in unused(body.output("-model.yaml")):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_model_file(
@@ -288,7 +272,7 @@ def _dark(full: FullDiagnosis) -> str | None:
     return f"less than {form.dark.upper:.2g} {form.unit} (95 %)"
 
 
-def _free_files(path: Path) -> Iterator[Path]:
+def unused(path: Path) -> Iterator[Path]:
     """Yield names that no file has: the path, then with a number from 2 on."""
     names = (path if n == 1 else path.with_name(f"{path.stem}-{n}{path.suffix}") for n in count(1))
     return (name for name in names if not name.exists())
@@ -304,7 +288,11 @@ def _written_report(body: Body, full: FullDiagnosis) -> Path | None:
 
 
 def _not_written(body: Body, what: str, error: OSError) -> None:
+    not_written(what, error, asked=body.source.request.out is not None)
+
+
+def not_written(what: str, error: OSError, *, asked: bool) -> None:
     """Say that a file is not written; raise `error` where its place was asked for."""
-    if body.source.request.out is not None:
+    if asked:
         raise error
     printing.notes_aside([f"{what} is not written ({error.strerror}); use --out DIR"])

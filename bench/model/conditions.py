@@ -72,7 +72,11 @@ class Conditions:
     which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
     installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
     the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
-    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each.
+    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. Of the supply,
+    `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v`
+    (n, rails) the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
+    `level_rad` (n, 4) is what a level showed in the mounting of the row: alpha1, alpha2 and their standard
+    uncertainties, NaN for nothing.
     """
 
     mounts: tuple[Mounting, ...]
@@ -87,6 +91,9 @@ class Conditions:
     reference_c: float = REFERENCE_C
     turns: Floats | None = None
     began_s: Floats | None = None
+    on_s: Floats | None = None
+    level_rad: Floats | None = None
+    supply_v: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -127,21 +134,52 @@ class Conditions:
         return np.where(known, self.time_s, pace + late)
 
     @cached_property
+    def switched_on_s(self) -> Floats:
+        """The time since the unit was switched on, where not known since the start of the run, s, shape (n,)."""
+        if self.on_s is None:
+            return self.elapsed_s
+        return np.where(np.isfinite(self.on_s), self.on_s, self.elapsed_s)
+
+    @cached_property
     def warmth_k(self) -> Floats:
         """Temperature less `reference_c`, K, shape (n,): zero where none is known.
 
         Where some rows have a temperature, the others take it from their neighbours in time.
         """
-        known = np.isfinite(self.temperature_c)
+        return self._between_known(self.temperature_c - self.reference_c)
+
+    @cached_property
+    def above_nominal_v(self) -> Floats:
+        """The voltage of each rail less its nominal one, V, shape (n, rails): zero where none is known.
+
+        Where some rows have one, the others take it from their neighbours in time.
+        """
+        if self.supply_v is None:
+            return np.zeros((len(self), 0))
+        return np.stack([self._between_known(rail) for rail in self.supply_v.T], axis=1)
+
+    def _between_known(self, values: Floats) -> Floats:
+        """Return a column (n,) with what is NaN in it taken from its neighbours in time; zero if all is."""
+        known = np.isfinite(values)
+        if known.all():
+            return values
         if not known.any():
             return np.zeros(len(self))
-        warmth = self.temperature_c - self.reference_c
-        if known.all():
-            return warmth
         clock_s = self.elapsed_s if self.began_s is None else self.time_s
         order = np.argsort(clock_s[known], kind="stable")
-        between = np.interp(clock_s, clock_s[known][order], warmth[known][order])
-        return np.where(known, warmth, between)
+        between = np.interp(clock_s, clock_s[known][order], values[known][order])
+        return np.where(known, values, between)
+
+    def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
+        """Return what a level showed: by mounting and column of the stand angles the angle and its u, rad."""
+        if self.level_rad is None:
+            return {}
+        found: dict[tuple[int, int], tuple[float, float]] = {}
+        for mount in range(len(self.mounts)):
+            rows = self.level_rad[(self.mount == mount) & np.isfinite(self.level_rad).all(axis=1)]
+            for column in (0, 1) if len(rows) else ():
+                found[mount, column] = float(rows[0, column]), float(rows[0, 2 + column])
+        return found
 
     def select(self, rows: Mask) -> Conditions:
         """Return the rows where the mask (n,) is true, with the mountings that they are of."""
@@ -178,6 +216,9 @@ class Conditions:
         scan_order: Sequence[Sequence[int]] | Ints | None = None,
         reference_c: float = REFERENCE_C,
         began_s: Floats | None = None,
+        on_s: Floats | None = None,
+        level_rad: Floats | None = None,
+        supply_v: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
 
@@ -200,4 +241,7 @@ class Conditions:
             scan_order=np.asarray(order, dtype=np.int64).reshape(n, 3),
             reference_c=reference_c,
             began_s=began_s,
+            on_s=on_s,
+            level_rad=level_rad,
+            supply_v=supply_v,
         )

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from bench.base.arrays import Floats, Ints, Labels
 from bench.model.conditions import Conditions
+from bench.readings.level_columns import level_rad
+from bench.readings.rails import above_nominal_v
 
 VERIFICATION: Final = "V"
 FREE: Final = "F"
@@ -137,6 +139,8 @@ class Readings:
             if SCAN_ORDER in self.extra
             else None,
             began_s=self.began_s,
+            level_rad=level_rad(self.extra, len(self)),
+            supply_v=above_nominal_v(self.extra),
         )
 
 

@@ -37,6 +37,7 @@ from benchmarks.blind_trial.signals import (
     visibility,
 )
 from benchmarks.blind_trial.slips import SLIPS
+from benchmarks.blind_trial.supply import SENSITIVE, SUPPLIED, courses, drifting, recorded, sensitive
 from benchmarks.blind_trial.truth import CHANNELS, Draw, Truth
 
 READING_NOISE_V: Final = 15e-6
@@ -51,7 +52,7 @@ TRIES: Final = 5
 class Row:
     """One row of the score table: what is hidden, in which design, how visible, at which noise, how often.
 
-    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS` or `KNOWN` or
+    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`, `SUPPLIED` or
     mistake:NAME.
     `noise_v` is what the bench states, `noise_factor` how many times that the truth is (readings and settings
     alike), `noise` which kind it is of (`NOISES`). A case may be of several `runs` that all have the same effect,
@@ -152,13 +153,16 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     digest = hashlib.sha256(f"{seed}/{row.key}/{index}".encode()).digest()
     rng = np.random.default_rng(list(digest))
     run = _run(rng, row)
-    truths = _truths(rng, row, run, index)
+    above_v = courses(rng, run) if row.kind in SUPPLIED else None
+    truths = _truths(rng, row, run, index) if above_v is None else [_of_the_supply(rng, row, run, above_v)]
     mistake = (
         MISTAKES[row.kind.removeprefix("mistake:")](rng, run) if row.kind.startswith("mistake:") else None
     )
     if row.kind == REPAIRED:
         mistake = MISTAKES["outlier"](rng, run)
     readings = _measure(rng, row, run, truths, mistake)
+    if above_v is not None:
+        readings = replace(readings, extra={**readings.extra, **recorded(rng, above_v)})
     if row.runs > 1:
         tables = [readings, *(_measure(rng, row, _run(rng, row), truths, None) for _ in range(1, row.runs))]
         tables = [_of_another_block(rng, table) for table in tables] if row.blocks else tables
@@ -252,6 +256,11 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
             return [_scaled(rng, row, run, seen, SLIPS[kind])]
         case _:
             raise ValueError(f"No such kind of case: {row.kind}.")
+
+
+def _of_the_supply(rng: np.random.Generator, row: Row, run: Run, above_v: Floats) -> Truth:
+    draw = sensitive if row.kind == SENSITIVE else drifting
+    return _scaled(rng, row, run, _true_visibility(row), lambda r, of: draw(r, of, above_v))
 
 
 def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:

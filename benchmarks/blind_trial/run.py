@@ -38,6 +38,7 @@ from benchmarks.blind_trial.score import (
     tally,
 )
 from benchmarks.blind_trial.slips import SLIPS
+from benchmarks.blind_trial.supply import SUPPLIED
 from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
 
 MANY_RHO: Final = 2.3
@@ -87,6 +88,7 @@ FULL: Final[tuple[Row, ...]] = (
     *(Row("mounting_roll", rho=rho) for rho in (10, 20)),
     *(Row(f"mistake:{name}") for name in MISTAKES),
     *KNOWN_ROWS,
+    *(Row(kind, rho=rho) for kind in SUPPLIED for rho in (8, 20)),
     Row("single", rho=MANY_RHO * 20**0.5),
     *(Row("null", runs=20, blocks=blocks) for blocks in (False, True)),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks) for blocks in (False, True)),
@@ -107,6 +109,7 @@ SHORT: Final[tuple[Row, ...]] = (
     *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),
     *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
     *(replace(row, count=5) for row in KNOWN_ROWS),
+    *(Row(kind, rho=20, count=5) for kind in SUPPLIED),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=4) for blocks in (False, True)),
 )
 

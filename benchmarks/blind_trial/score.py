@@ -18,6 +18,7 @@ from benchmarks.blind_trial.known import KNOWN, judge_known
 from benchmarks.blind_trial.outside_effects import WITHOUT_MEAN
 from benchmarks.blind_trial.signals import U0, K
 from benchmarks.blind_trial.slips import SLIPS
+from benchmarks.blind_trial.supply import SUPPLIED, judge_supply
 from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
 
 Diagnosis = dict[str, Any]
@@ -158,6 +159,8 @@ def _judge_kind(
         return judge_known(answer.kind, answer.names, diagnosis)
     if answer.kind in SLIPS:
         return _judge_slip(answer, diagnosis)
+    if answer.kind in SUPPLIED:
+        return judge_supply(answer.kind, diagnosis)
     if kind == "pair":
         return _judge_pair(answer, diagnosis)
     return _judge_single(case, answer, diagnosis, can_tell)

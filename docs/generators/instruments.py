@@ -18,6 +18,8 @@ _ROLES: Final[dict[Role, str]] = {
     "voltmeter": "Voltmeters",
     "head": "Dividing heads",
     "chamber": "Thermal chambers",
+    "level": "Levels",
+    "power_supply": "Power supplies",
 }
 _RESOURCES: Final = (
     ("GPIB", "GPIB"),

@@ -6,7 +6,7 @@ readings by the model with them and by the same one without. What is left is com
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from typing import Any, Final, Literal
@@ -18,6 +18,7 @@ from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.design import FIXED, EffectUnknown
 from bench.analysis.diagnosis.course import diagnose
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
+from bench.analysis.diagnosis.free_result import FreeDiagnosis
 from bench.analysis.diagnosis.gap import BY_CHANCE, FLOOR, LEAST_CLOSED, part_closed, rms
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, whiten_rows
@@ -90,13 +91,16 @@ class EffectNow:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """New readings without and with a model's effects; `diagnosis` is that of the readings with it."""
+    """New readings without and with a model's effects; `diagnosis` is that of the readings with it.
+
+    It is a `FreeDiagnosis` where free positions are all there is.
+    """
 
     before: Model
     after: Model
     p_after: float
     effects: tuple[EffectNow, ...]
-    diagnosis: Diagnosis
+    diagnosis: Diagnosis | FreeDiagnosis
 
     @property
     def closed(self) -> float | None:
@@ -200,7 +204,24 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
     u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
     own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
     free = replace(linear, random=np.delete(linear.random, places, axis=1))
-    change, covariance = _estimated(free, own, found, diagnosis)
+    estimated = _estimated(free, own, found, diagnosis)
+    return judged(model, unknowns, Estimated(plausible, found, u, *estimated))
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """Parameters of effects (m,) in plausible sizes: those of the model with u, and `change` to these readings'."""
+
+    plausible: Floats
+    found: Floats
+    u: Floats
+    change: Floats
+    covariance: Floats
+
+
+def judged(model: ForwardModel, unknowns: Sequence[EffectUnknown], of: Estimated) -> tuple[EffectNow, ...]:
+    """Return what became of each effect of a model. Raises `CalibrationError` where none shows."""
+    plausible, found, u, change, covariance = of.plausible, of.found, of.u, of.change, of.covariance
     known = np.sqrt(np.diag(covariance))
     told = known < TOLD * KNOWN_SIZE
     effects, seen = [], []
@@ -209,14 +230,14 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
             continue
         mine = np.array([unknown.effect == number for unknown in unknowns], dtype=bool)
         use = np.flatnonzero(mine & told)
-        of = covariance[np.ix_(use, use)]
-        size, least = np.sqrt(_square(found[use], of)), _least(len(use))
-        p_none = _chance(found[use] + change[use], of)
-        p_same = _chance(change[use], of + np.diag(u[use] ** 2))
+        own = covariance[np.ix_(use, use)]
+        size, least = np.sqrt(square(found[use], own)), _least(len(use))
+        p_none = _chance(found[use] + change[use], own)
+        p_same = _chance(change[use], own + np.diag(u[use] ** 2))
         then, now = (
             tuple(
                 _value(model, unknowns[i], sizes[i] * plausible[i], of_u[i] * plausible[i])
-                for i in np.flatnonzero(mine)
+                for i in np.flatnonzero(mine).tolist()
             )
             for sizes, of_u in ((found, u), (found + change, known))
         )
@@ -245,14 +266,14 @@ def _estimated(
     for one in diagnosis.naming.found:
         more = np.column_stack([columns, diagnosis.candidates.columns[:, list(one.variant.columns)]])
         again = posterior(linear, more, diagnosis.noise)
-        seen, beside = (_square(found, fit.amplitude_covariance[:count, :count]) for fit in (fitted, again))
+        seen, beside = (square(found, fit.amplitude_covariance[:count, :count]) for fit in (fitted, again))
         if beside >= STILL_SEEN * seen:
             columns, fitted = more, again
     return fitted.amplitudes[:count], fitted.amplitude_covariance[:count, :count]
 
 
 def _chance(part: Floats, covariance: Floats) -> float:
-    return float(special.chdtrc(len(part), _square(part, covariance))) if len(part) else 1.0
+    return float(special.chdtrc(len(part), square(part, covariance))) if len(part) else 1.0
 
 
 def _word(p_same: float, p_none: float) -> Word:
@@ -266,7 +287,8 @@ def _least(count: int) -> float:
     return float(np.sqrt(special.chdtri(count, BY_CHANCE))) + POWER if count else float("inf")
 
 
-def _square(part: Floats, covariance: Floats) -> float:
+def square(part: Floats, covariance: Floats) -> float:
+    """Return the square of a part of the parameters in units of their noise."""
     return float(part @ np.linalg.solve(covariance, part)) if len(part) else 0.0
 
 

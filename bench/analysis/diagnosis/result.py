@@ -92,7 +92,7 @@ class NamedEffect:
             "installations": list(self.installations),
             "cannot_tell_from": list(self.cannot_tell_from),
             "plainer_than": list(self.plainer_than),
-            "parameters": _nested(self.parameters),
+            "parameters": nested(self.parameters),
             "together": [asdict(one) for one in self.together],
             "p": self.p,
             "p_all_looks": self.p_all_looks,
@@ -102,7 +102,7 @@ class NamedEffect:
         }
 
 
-def _nested(values: Sequence[EffectValue]) -> dict[str, Any]:
+def nested(values: Sequence[EffectValue]) -> dict[str, Any]:
     """Return values by installations, parameter and channel, each level where there is one."""
     tree: dict[str, Any] = {}
     for one in values:

@@ -10,13 +10,10 @@ from typing import Any, Final
 
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.devices.certificates import Certificate, ChamberCertificate, HeadCertificate
-from bench.devices.chambers import ChamberForm
-from bench.devices.heads import HeadForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import BenchFile
+from bench.files.bench.instruments import InstrumentForm
 from bench.readings.corrected import Corrections
-
-Section = VoltmeterForm | HeadForm | ChamberForm
 
 _MICRO: Final = 1e-6
 
@@ -28,7 +25,7 @@ class Standing:
     `answered` is None where nobody knows it, as of readings from a file, and empty where the instrument says none.
     """
 
-    section: Section
+    section: InstrumentForm
     certificate: Certificate
     day: datetime.date
     answered: str | None = None

@@ -222,7 +222,7 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
         f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
     )
     # where the values are others, what is found beside them makes up for that
-    left = words.alike_in_words(found.diagnosis.effects)
+    left = words.beside_in_words(found.diagnosis)
     if left and found.verdict == "confirmed":
         out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
     closed = words.closed_in_words(

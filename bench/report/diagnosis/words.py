@@ -10,6 +10,7 @@ from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.confirm import EffectNow
 from bench.analysis.diagnosis.form.describe import FreeForm
+from bench.analysis.diagnosis.free_result import FreeDiagnosis
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
@@ -68,14 +69,19 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
 def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
     for value in effect.parameters:
-        of = f" of {value.channel}" if value.channel else ""
         at = f" in installation {value.installations}" if value.installations else ""
-        yield f"{value.parameter}{of}{at} = {_value_in_words(value)}"
+        yield parameter_in_words(value, at)
     for one in effect.together:
         yield (
             f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
             f"{_with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
         )
+
+
+def parameter_in_words(value: EffectValue, at: str) -> str:
+    """Return a parameter with its value, `at` where it has it."""
+    of = f" of {value.channel}" if value.channel else ""
+    return f"{value.parameter}{of}{at} = {_value_in_words(value)}"
 
 
 def _value_in_words(value: EffectValue) -> str:
@@ -253,6 +259,13 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
     """Return what was found, each with what it cannot be told from: "bias_drift of x or warm_up"."""
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
+
+
+def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
+    """Return what was found in readings, whatever they are of."""
+    if isinstance(diagnosis, FreeDiagnosis):
+        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
+    return alike_in_words(diagnosis.effects)
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:

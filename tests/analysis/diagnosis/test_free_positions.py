@@ -51,7 +51,7 @@ def test_a_square_of_the_sensor_is_named_with_its_size():
     if first.name == "quadratic_nonlinearity":
         value = first.parameters["K2"]["y"]
         assert abs(value["value"] - 2000.0) < 4 * value["u"]
-    assert found.gap["after"] < 0.2 * found.gap["before"]
+    assert found.gap.after < 0.2 * found.gap.before
 
 
 def test_a_zero_that_settles_in_time_is_found():
@@ -61,7 +61,7 @@ def test_a_zero_that_settles_in_time_is_found():
     found = diagnose_free([positions(2, 40, add=settling)])
     first = found.found[0]
     assert "warm_up" in {first.name, *first.cannot_tell_from}
-    assert found.gap["after_rms"] < 0.5 * found.gap["before_rms"]
+    assert found.gap.after_rms < 0.5 * found.gap.before_rms
 
 
 def test_a_position_in_motion_stands_apart_and_is_left_out():
@@ -116,7 +116,7 @@ def test_the_zeros_of_a_real_board_change_between_records_alike_in_all_sensors()
     words = found.found[0].words
     assert "common to the sensors" in words
     assert "cause is not determined" in words
-    assert found.gap["after"] < 2
+    assert found.gap.after < 2
 
 
 def test_too_few_positions_are_refused_with_what_to_do():
