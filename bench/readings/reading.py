@@ -10,7 +10,14 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.readings.table import REFERENCE_V, SCAN_ORDER, Readings, make_readings
+from bench.readings.table import (
+    CHAMBER_C,
+    REFERENCE_V,
+    SCAN_ORDER,
+    TEMPERATURE_SOURCE,
+    Readings,
+    make_readings,
+)
 
 Triple = tuple[float, ...]
 """A number for each of the channels x, y, z."""
@@ -42,9 +49,10 @@ class Reading:
     the head means nothing (a shorted or a reference input, of `reference_v` volts). `time_s` counts from the
     beginning of the run. `mean`, `sd` and `drift` are those of the samples of x, y and z, `drift_p` the
     probability of as large a drift in samples that only scatter; None where there are too few samples for
-    them. `scan_order` is the order in which the channels were read. What is left at its default was not
-    recorded: records before these were kept lack `samples` and what is drawn from them, the reference and the
-    scan order.
+    them. `scan_order` is the order in which the channels were read. Where a thermometer at the block told the
+    temperature, `temperature_source` is its sensor and `chamber_c` the air of the chamber. What is left at its
+    default was not recorded: records before these were kept lack `samples` and what is drawn from them, the
+    reference and the scan order.
     """
 
     installation: str
@@ -66,6 +74,8 @@ class Reading:
     outlier: tuple[Outlier | None, ...] = _NONE
     reference_v: float | None = None
     scan_order: str = ""
+    temperature_source: str = ""
+    chamber_c: float | None = None
 
     @property
     def place(self) -> tuple[int, str, int, int]:
@@ -77,7 +87,10 @@ class Reading:
 
     def to_json(self) -> dict[str, Any]:
         """Return it as an event holds it."""
-        return {_KEYS.get(name, name): value for name, value in asdict(self).items()}
+        left_out = {
+            name for name in _WITH_A_THERMOMETER if not getattr(self, name) and getattr(self, name) != 0.0
+        }
+        return {_KEYS.get(name, name): value for name, value in asdict(self).items() if name not in left_out}
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Reading:
@@ -110,6 +123,7 @@ class Reading:
             self.time_s,
             self.temperature_c,
             self.reference_v,
+            self.chamber_c,
             *self.sd,
         )
         for number in (*self.mean, self.direction, *may_be):
@@ -118,6 +132,9 @@ class Reading:
         if None in self.mean:
             raise ValueError("a reading without a mean is none")
 
+
+_WITH_A_THERMOMETER: Final = ("temperature_source", "chamber_c")
+"""Written where a thermometer at the block has them alone."""
 
 _KEYS: Final = {"pass_number": "pass"}
 """What is called otherwise in the record."""
@@ -137,6 +154,8 @@ def readings_of(taken: Sequence[Reading], source: str) -> Readings:
     extra = {
         SCAN_ORDER: [reading.scan_order for reading in taken],
         REFERENCE_V: ["" if reading.reference_v is None else str(reading.reference_v) for reading in taken],
+        TEMPERATURE_SOURCE: [reading.temperature_source for reading in taken],
+        CHAMBER_C: ["" if reading.chamber_c is None else str(reading.chamber_c) for reading in taken],
     }
     table = make_readings(
         [reading.installation for reading in taken],
