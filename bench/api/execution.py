@@ -37,6 +37,7 @@ from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, check
 from bench.run.history import History, read_history
 from bench.run.log import RunLog
 from bench.run.manifest import Manifest, RecordError, VerdictAsked
+from bench.run.power import Feeding
 from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
@@ -269,6 +270,7 @@ def carry_out(
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
                 certificates=_on_certificates(bench, simulated=run.simulated),
+                fed=_fed(bench),
             ).run(resume)
         _refuse_renamed(record)
     except RunAborted as why:
@@ -295,6 +297,12 @@ def _on_certificates(
     return lambda serials: remarks(bench, None if simulated else serials)
 
 
+def _fed(bench: BenchFile) -> Feeding | None:
+    """Return how the power supply feeds the block, None where the bench file does not say so."""
+    section, supply = bench.unit_under_test.supply, bench.instruments.power_supply
+    return None if section is None or supply is None else Feeding(section, supply.limits)
+
+
 def _slow_chamber_s(bench: BenchFile) -> float:
     chamber = bench.instruments.chamber
     return chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S
@@ -305,7 +313,9 @@ def _assembly(
     run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console, haste: Haste
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
     """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
-    bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
+    supply = bench.unit_under_test.supply
+    step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
+    bar = ProgressBar(run.plan, out, step_s)
     with bar:
         if run.simulated:
             taken = [one[1] for one in (history.taken if history else ()) if one is not None]

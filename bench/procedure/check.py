@@ -8,10 +8,22 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import HOUR, Floats
-from bench.base.words import APPROACH
+from bench.base.words import APPROACH, duration
 from bench.files.bench.file import BenchFile
 from bench.model.block import COEFFICIENTS, hidden_axes
-from bench.procedure.plan import Ask, Level, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
+from bench.procedure.plan import (
+    SWITCHED_ON,
+    Ask,
+    Level,
+    Mount,
+    Plan,
+    Power,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Turn,
+)
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.table import UNORIENTED, VERIFICATION
 
@@ -36,6 +48,7 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
             *_settling_problems(plan, bench), *_level_problems(plan, bench), *_time_problems(plan),
+            *_power_problems(plan, bench),
             *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
 
 
@@ -167,6 +180,41 @@ def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
             f"step {first.key}: the temperature is to settle, but a person reads it and cannot be asked again and "
             "again; take a plain soak"
         )
+
+
+def switched_before(plan: Plan, bench: BenchFile) -> str | None:
+    """Return what a run does with the block's supply before the first step; None where it does nothing."""
+    supply = bench.unit_under_test.supply
+    if supply is None or not plan.begins_on():
+        return None
+    warm = (
+        duration(supply.warm_up)
+        if isinstance(supply.warm_up, float)
+        else f"until settled, {duration(supply.warm_up_s)} to {duration(supply.longest_warm_up_s)}"
+    )
+    return f"{SWITCHED_ON.describe()} ({warm})"
+
+
+def _power_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A block that is switched has a supply, and no signal is read of one that is off."""
+    first = next((step for step in plan.steps if isinstance(step, Power)), None)
+    if first is not None and bench.unit_under_test.supply is None:
+        yield (
+            f"step {first.key}: the block is switched, but the bench file does not say how it is supplied; state "
+            "'supply' under unit_under_test, and its power_supply under instruments"
+        )
+    on, off_key, input_source = plan.begins_on(), "", "signal"
+    for step in plan.steps:
+        if isinstance(step, Power):
+            on, off_key = step.switch != "off", step.key
+        elif isinstance(step, SelectInput):
+            input_source = step.source
+        elif isinstance(step, Read | Settle) and not on and input_source == "signal":
+            if isinstance(step, Settle) and step.what != "signals":
+                continue
+            since = f"step {off_key} has switched it off" if off_key else "nothing has switched it on"
+            yield f"step {step.key}: the block is off here, {since}; switch it on before with 'power: on'"
+            return
 
 
 def prompts_without_default(plan: Plan) -> Iterator[str]:

@@ -32,6 +32,7 @@ from bench.procedure.sections import (
     SettleVerb,
     TemperatureSettle,
 )
+from bench.procedure.steps import Switching
 from bench.readings.table import UNORIENTED, scan_order
 from drivers.interfaces import PromptKind
 
@@ -39,7 +40,7 @@ Steps = Annotated[tuple["StepEntry", ...], Field(min_length=1)]
 DirectionWord = Literal["rising", "falling"]
 
 VERBS: Final = ("installation", "repeat", "turn", "read", "input", "wait", "settle", "prompt", "temperature",
-                "temperatures", "level", "include")  # fmt: skip
+                "temperatures", "level", "power", "include")  # fmt: skip
 _TURN_RAD: Final = math.tau + 1e-9
 
 
@@ -276,6 +277,31 @@ class TemperaturesVerb(FileModel):
     steps: Steps
 
 
+class PowerVerb(FileModel):
+    """Switch the block on or off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
+
+    In a cycle it is off for `off_for` at least, and never for less than the bench file says. Once it is on it warms
+    up as the bench file says, or for `warm_up`.
+    """
+
+    switch: Switching
+    off_for: SpanS | None = None
+    warm_up: SpanS | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_word(cls, written: Any) -> Any:
+        return {"switch": written} if isinstance(written, str) else written
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> PowerVerb:
+        if self.off_for is not None and self.switch != "cycle":
+            raise ValueError("only a cycle has 'off_for': how long the block is off in it")
+        if self.warm_up is not None and self.switch == "off":
+            raise ValueError("a block that is switched off does not warm up; leave 'warm_up' out")
+        return self
+
+
 class StepEntry(FileModel):
     """One step: exactly one of the verbs."""
 
@@ -289,6 +315,7 @@ class StepEntry(FileModel):
     prompt: PromptVerb | None = None
     temperature: TemperatureVerb | None = None
     temperatures: TemperaturesVerb | None = None
+    power: PowerVerb | None = None
     level: LevelVerb | None = None
     include: str | None = None
 

@@ -214,11 +214,15 @@ class _Scope:
         return text
 
 
-_NOT_IN_AN_INPUT: Final = frozenset({"turn", "installation", "input", "temperature", "temperatures", "level"})
+_NOT_IN_AN_INPUT: Final = frozenset(
+    {"turn", "installation", "input", "temperature", "temperatures", "level", "power"}
+)
 
 
 def _a(verb: str) -> str:
     """Return what a verb stands for, with its article."""
+    if verb == "power":
+        return "a switching of the block"
     return "a list of temperatures" if verb == "temperatures" else f"a{'n' * (verb[0] in 'ai')} {verb}"
 
 

@@ -19,6 +19,7 @@ from drivers.interfaces import Channel, Direction, PromptKind
 
 Settled = Literal["signals", "temperature"]
 InputSource = Literal["signal", "short", "reference"]
+Switching = Literal["on", "off", "cycle"]
 
 SETTLING: Final = "settling"
 """The reason of a wait between a turn and its reading."""
@@ -194,6 +195,30 @@ class SetTemperature:
 
 
 @dataclass(frozen=True, slots=True)
+class Power:
+    """The block is switched on, off, or off and on again (a cycle), as the bench file says of its supply.
+
+    In a cycle it is off for `off_s` at least. Once on it warms up for `warm_up_s`, as the bench file says for None.
+    """
+
+    key: str
+    switch: Switching
+    off_s: float = 0.0
+    warm_up_s: float | None = None
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        if self.switch == "off":
+            return "switch the block off"
+        off = f" off for {duration(self.off_s)} and" if self.off_s else " off and"
+        warm = (
+            "let it warm up" if self.warm_up_s is None else f"let it warm up for {duration(self.warm_up_s)}"
+        )
+        again = f"switch the block{off} on again" if self.switch == "cycle" else "switch the block on"
+        return f"{again}, {warm if self.warm_up_s != 0.0 else 'without warm-up'}"
+
+
+@dataclass(frozen=True, slots=True)
 class Level:
     """The level on the platform is read with the head at 0°, in two positions for each of so many `settings` of it.
 
@@ -218,7 +243,7 @@ class Level:
         return f"{what} in two positions{times}"
 
 
-Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature | Level
+Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature | Level | Power
 
 
 # --- the order of the channels ----------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.readings.supplied import Rail, columns_of
 from bench.readings.table import (
     CHAMBER_C,
     REFERENCE_V,
@@ -49,10 +50,11 @@ class Reading:
     the head means nothing (a shorted or a reference input, of `reference_v` volts). `time_s` counts from the
     beginning of the run. `mean`, `sd` and `drift` are those of the samples of x, y and z, `drift_p` the
     probability of as large a drift in samples that only scatter; None where there are too few samples for
-    them. `scan_order` is the order in which the channels were read. Where a thermometer at the block told the
-    temperature, `temperature_source` is its sensor and `chamber_c` the air of the chamber. What is left at its
+    them. `scan_order` is the order in which the channels were read. `rails` is what the supply measured at each
+    rail of the block, the mean of a look before the reading and one after it. Where a thermometer at the block told
+    the temperature, `temperature_source` is its sensor and `chamber_c` the air of the chamber. What is left at its
     default was not recorded: records before these were kept lack `samples` and what is drawn from them, the
-    reference and the scan order.
+    reference and the scan order, and where nothing is known of the supply there are no rails.
     """
 
     installation: str
@@ -76,6 +78,7 @@ class Reading:
     scan_order: str = ""
     temperature_source: str = ""
     chamber_c: float | None = None
+    rails: Mapping[str, Rail] = field(default_factory=dict)
 
     @property
     def place(self) -> tuple[int, str, int, int]:
@@ -87,10 +90,12 @@ class Reading:
 
     def to_json(self) -> dict[str, Any]:
         """Return it as an event holds it."""
-        left_out = {
-            name for name in _WITH_A_THERMOMETER if not getattr(self, name) and getattr(self, name) != 0.0
+        own = {_KEYS.get(name, name): value for name, value in asdict(self).items()}
+        return {
+            name: value
+            for name, value in own.items()
+            if name not in _WHERE_KNOWN or value not in ("", None, {})
         }
-        return {_KEYS.get(name, name): value for name, value in asdict(self).items() if name not in left_out}
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Reading:
@@ -105,6 +110,8 @@ class Reading:
                 given[name] = tuple(value) if type(value) is list else value
         found = given.get("outlier", _NONE)
         given["outlier"] = _NONE if found == _NONE else tuple(one and Outlier(**one) for one in found)
+        if _RAILS in given:
+            given[_RAILS] = {str(name): Rail.from_json(rail) for name, rail in given[_RAILS].items()}
         reading = cls(**given)
         reading._check()
         return reading
@@ -133,11 +140,14 @@ class Reading:
             raise ValueError("a reading without a mean is none")
 
 
-_WITH_A_THERMOMETER: Final = ("temperature_source", "chamber_c")
-"""Written where a thermometer at the block has them alone."""
+_WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c")
+"""Written of a bench alone that has a supply, or a thermometer at the block."""
 
 _KEYS: Final = {"pass_number": "pass"}
 """What is called otherwise in the record."""
+
+_RAILS: Final = "rails"
+"""What is left out of the record where there is none."""
 
 _RECORDED: Final = tuple((of.name, _KEYS.get(of.name, of.name)) for of in fields(Reading))
 """The fields of a reading with what they are called in the record."""
@@ -146,7 +156,10 @@ _NUMBERS: Final = frozenset({int, float})
 
 
 def readings_of(taken: Sequence[Reading], source: str) -> Readings:
-    """Make the table of readings. Scan order and reference are among its extra columns where any has them."""
+    """Make the table of readings. Scan order and reference are among its extra columns where any has them.
+
+    So are voltage and current of each rail.
+    """
 
     def column(name: str) -> Floats:
         return np.array([getattr(reading, name) for reading in taken], dtype=np.float64)  # None becomes NaN
@@ -156,6 +169,7 @@ def readings_of(taken: Sequence[Reading], source: str) -> Readings:
         REFERENCE_V: ["" if reading.reference_v is None else str(reading.reference_v) for reading in taken],
         TEMPERATURE_SOURCE: [reading.temperature_source for reading in taken],
         CHAMBER_C: ["" if reading.chamber_c is None else str(reading.chamber_c) for reading in taken],
+        **columns_of([reading.rails for reading in taken]),
     }
     table = make_readings(
         [reading.installation for reading in taken],

@@ -24,7 +24,8 @@ class Progress:
     series that readings of a (series, installation) have since the block was taken off and mounted again in
     the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `in_vain` the steps
     at which one did whose point was redone for it, `gone_on` those at which one was overruled, `signs` how many
-    there were.
+    there were. `power` is what was told last of the block's: "on", "found on", "off", "fault", or nothing;
+    `off_since_s` since when it is off, `warm` whether it has warmed up since it was switched on.
     """
 
     done: set[int] = field(default_factory=set)
@@ -38,6 +39,9 @@ class Progress:
     in_vain: set[int] = field(default_factory=set)
     gone_on: set[int] = field(default_factory=set)
     signs: int = 0
+    power: str = ""
+    off_since_s: float | None = None
+    warm: bool = False
 
     @classmethod
     def of(cls, history: History) -> Progress:
@@ -68,6 +72,12 @@ class Progress:
             case EventType.REMOUNTED:
                 place = (int(event.data["series"]), str(event.data["installation"]))
                 self.remounts[place] = int(event.data["now_series"])
+            case EventType.POWER:
+                self.power = str(event.data["power"])
+                self.off_since_s = event.bench_s if self.power == "off" else None
+                self.warm = False
+            case EventType.WARMED_UP:
+                self.warm = True
             case EventType.EARLY_SIGN:
                 self.signs += 1
                 if event.data.get("confident"):

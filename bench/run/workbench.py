@@ -14,6 +14,7 @@ from bench.procedure.plan import (
     Ask,
     Level,
     Mount,
+    Power,
     Read,
     SelectInput,
     SetTemperature,
@@ -24,6 +25,8 @@ from bench.procedure.plan import (
 )
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.reading import Reading
+from bench.readings.supplied import Rail, between
+from bench.run.block_temperature import told_at_mounting, told_at_reading
 from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
 from bench.run.events import (
     Answered,
@@ -32,12 +35,15 @@ from bench.run.events import (
     InputSelected,
     Levelled,
     Mounted,
+    Powered,
     Result,
     TemperatureSet,
     Turned,
 )
 from bench.run.levelling import Levelling
 from bench.run.mounting import UNTOUCHED, mount_prompt, untouched_prompt
+from bench.run.power import UnitPower
+from bench.run.power_up import warm_up
 from bench.run.prompts import ask, confirm
 from bench.run.samples import describe
 from bench.run.settling import Criterion, Settling, wait_until_settled
@@ -108,8 +114,9 @@ class Workbench:
     """Executes steps. `range_v` is the voltmeters' fixed range, `now_s` the bench time since the run began.
 
     `visits` gives the series that readings of a (series, installation) are recorded with, where the block
-    was mounted again in the middle of it; `block_limits_c` are the temperatures that the block may have;
-    `least_samples` is how few samples every voltmeter takes, by which signals are seen to settle;
+    was mounted again in the middle of it; `power` is the block's supply, where it has one;
+    `block_limits_c` are the temperatures that the block may have; `least_samples` is how few samples every
+    voltmeter takes, by which signals are seen to settle.
     `setting_u_rad` is the standard uncertainty of a setting of the head.
     After `slow_chamber_s` `tell` is told of a chamber that hardly moves.
     `temperature_c` is the temperature last read or told, `demanded_c` what the chamber was last sent to.
@@ -128,6 +135,7 @@ class Workbench:
     tell: Callable[[EventType, dict[str, Any]], None] = lambda kind, data: None
     setting_u_rad: float = 0.0
     visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
+    power: UnitPower | None = None
     _reference_v: float | None = field(default=None, init=False)
     _position: HeadPosition | None = field(default=None, init=False)
     temperature_c: float | None = field(default=None, init=False)
@@ -141,6 +149,8 @@ class Workbench:
 
     def execute(self, step: Step) -> Result | None:
         """Carry out a step and return what it brought. Raises `BenchError`."""
+        if not isinstance(step, Power):
+            self._watch_rails(step.key)
         match step:
             case Mount():
                 return self.mount(step)
@@ -159,6 +169,8 @@ class Workbench:
                 return self._select_input(step)
             case Ask():
                 return self._ask(step)
+            case Power():
+                return self.switch(step)
             case Level():
                 return self._level(step)
 
@@ -166,12 +178,9 @@ class Workbench:
         """Have the block mounted, and the temperature told where a person must tell it."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
-        chamber, thermometer = self.instruments.chamber, self.instruments.thermometer
-        self.temperature_c = None
-        if thermometer is not None:
-            self.temperature_c = thermometer.block_c(step.key) if thermometer.asks_person else None
-        elif chamber and chamber.asks_person:
-            self.temperature_c = chamber.temperature(step.key)
+        self.temperature_c = told_at_mounting(self.instruments, step.key)
+        if self.power is not None and self.power.on and self.power.supply.asks_person:
+            self.power.look(step.key)
         return Mounted(self.temperature_c)
 
     def still_mounted(self, step: Mount) -> bool:
@@ -190,6 +199,32 @@ class Workbench:
         self._chamber_watch.begin(chamber, step.target_c, step.key)
         self.temperature_c = None
         return TemperatureSet(step.target_c)
+
+    def switch(self, step: Power) -> Powered:
+        """Switch the block; once it is on let it warm up."""
+        if self.power is None:
+            raise BenchError(
+                "power_supply",
+                f"{step.key}: the procedure switches the block, but the bench has no supply of it",
+                "say in the bench file how the block is supplied",
+            )
+        match step.switch:
+            case "off":
+                self.power.switch_off(step.key)
+                return Powered(step.switch, None)
+            case "cycle":
+                self.power.cycle(step.off_s, step.key)
+            case "on":
+                self.power.have_on(step.key)
+        after_s, at = warm_up(self.power, step.warm_up_s, self._quick_signals, self.on_settling, step.key)
+        return Powered(step.switch, round(after_s, 3), at)
+
+    def _watch_rails(self, key: str) -> None:
+        if self.power is not None:
+            self.power.watch(key)
+
+    def _rails(self, key: str) -> Mapping[str, Rail]:
+        return {} if self.power is None else self.power.at_reading(key)
 
     def _chamber(self, wanted: str) -> ThermalChamber:
         if self.instruments.chamber is None:
@@ -214,15 +249,21 @@ class Workbench:
         end_s = self.clock.now_s() + step.duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
+            self._watch_rails(step.key)
             self._chamber_watch.look(self.instruments.chamber, step.key)
             self.clock.sleep(min(NAP_S, left_s))
 
     def _settle(self, step: Settle) -> CameToRest:
         """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""
         criterion = Criterion(step.precision, step.window_s, step.timeout_s, step.interval_s)
+
+        def nap(state: Settling) -> None:
+            self.on_settling(state)
+            self.between_naps()
+            self._watch_rails(step.key)
+
         if step.what == "signals":
-            self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, self.least_samples))
-            state = wait_until_settled(self._signals, criterion, self.clock, self._nap)
+            state = wait_until_settled(self._quick_signals, criterion, self.clock, nap)
         else:
             chamber = self._chamber(f"{step.key}: the procedure waits for a temperature")
             if chamber.asks_person:
@@ -235,7 +276,7 @@ class Workbench:
                 lambda: (self._air_c(chamber, step.key),),
                 criterion,
                 self.clock,
-                self._nap,
+                nap,
                 names=("",),
                 unit="°C",
             )
@@ -246,13 +287,11 @@ class Workbench:
         self._chamber_watch.take(chamber.name, air_c)
         return air_c
 
-    def _signals(self) -> tuple[float, ...]:
+    def _quick_signals(self) -> tuple[float, ...]:
+        """Return the three signals as they are now, V: the last of the fewest samples."""
+        self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, self.least_samples))
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
-
-    def _nap(self, state: Settling) -> None:
-        self.on_settling(state)
-        self.between_naps()
 
     def _select_input(self, step: SelectInput) -> InputSelected:
         """Have the inputs switched; nothing of the head's position holds for a shorted input."""
@@ -284,9 +323,11 @@ class Workbench:
     def _read(self, step: Read) -> Reading:
         self._configure(VoltmeterSettings(self.range_v, step.nplc, step.samples))
         self._take_temperature(step.key)
+        before = self._rails(step.key)
         begun_s = self.now_s()
         meters = in_scan_order(self.instruments.voltmeters, step.scan)
         samples = self._sample(meters)
+        rails = between(before, self._rails(step.key))  # raises where the samples are not to be believed
         described = describe(samples)
         statistics = [described[channel] for channel in CHANNELS]
         position = None if step.target_rad is None else self._position
@@ -314,6 +355,7 @@ class Workbench:
             outlier=tuple(of.outlier for of in statistics),
             reference_v=self._reference_v,
             scan_order=read_order(meters),
+            rails=rails,
         )
 
     def _take_temperature(self, key: str) -> None:
@@ -323,13 +365,7 @@ class Workbench:
 
         Raises `LimitExceeded` when the block is where it may not be: the run stops, the chamber goes safe.
         """
-        chamber, thermometer = self.instruments.chamber, self.instruments.thermometer
-        if thermometer is not None:
-            self._chamber_c = None if chamber is None or chamber.asks_person else chamber.temperature(key)
-            if self.temperature_c is None or not thermometer.asks_person:
-                self.temperature_c = thermometer.block_c(key)
-        elif chamber is not None and (self.temperature_c is None or not chamber.asks_person):
-            self.temperature_c = chamber.temperature(key)
+        self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)
         low_c, high_c = self.block_limits_c
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(

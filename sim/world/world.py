@@ -7,6 +7,8 @@ from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
@@ -20,8 +22,6 @@ from sim.world.turning import HeadFault, HeadTurn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import numpy as np
 
     from bench.model import Block, ForwardModel
     from drivers.clock import Clock

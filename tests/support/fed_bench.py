@@ -33,10 +33,25 @@ FEED: Final[dict[str, Any]] = {
 }
 
 
-def write_fed(folder: Path, feed: dict[str, Any] | None = None, name: str = "bench-gpib") -> Path:
-    """Write a shipped bench file whose block is fed so; return the path."""
+MANUAL: Final = {
+    "driver": "manual-supply",
+    "outputs": {
+        "P25V": {"maximum": "25 V", "current": "1 A", "over_voltage": "27 V"},
+        "N25V": {"minimum": "-25 V", "maximum": "0 V", "current": "1 A"},
+    },
+}
+
+
+def write_fed(
+    folder: Path,
+    feed: dict[str, Any] | None = None,
+    name: str = "bench-gpib",
+    supply: dict[str, Any] | None = None,
+) -> Path:
+    """Write a shipped bench file whose block is fed so, by a supply that a person works; return the path."""
     data = yaml.safe_load(find_bench(name).read_text(encoding="utf-8"))
     data["unit_under_test"]["supply"] = json.loads(json.dumps(FEED if feed is None else feed))
+    data["instruments"]["power_supply"] = json.loads(json.dumps(MANUAL if supply is None else supply))
     path = folder / "bench.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     return path

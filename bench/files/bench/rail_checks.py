@@ -6,11 +6,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from bench.base.form_mistakes import Place
+from pydantic import ValidationError
+
+from bench.base.form_mistakes import Place, unknown_word
 from bench.base.forms import part
-from bench.base.units import CURRENT, VOLTAGE, QuantityKind, parse_quantity
+from bench.base.units import CURRENT, DURATION, VOLTAGE, QuantityKind, parse_quantity
+from bench.devices.registry import devices
+from bench.devices.supplies import SupplyForm
+from drivers.interfaces import OutputSettings, SupplyLimits
 
 _UNIT: Final[Place] = ("unit_under_test", "supply")
+_INSTRUMENT: Final[Place] = ("instruments", "power_supply")
 
 _V: Final[tuple[Place, ...]] = (
     ("voltage",), ("tolerance",), ("limits", "minimum"), ("limits", "maximum"), ("over_voltage",),
@@ -24,6 +30,12 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """Yield every mistake with its place; `data` is the bench file as written, whatever else is wrong in it."""
     if part(data, *_UNIT) is None:
         return
+    if part(data, *_INSTRUMENT) is None:
+        yield (
+            _UNIT,
+            "the block is supplied, but the bench has no power supply; name it as 'power_supply' under instruments",
+        )
+    limits = _limits_of_supply(part(data, *_INSTRUMENT))
     seen: dict[tuple[str, str], int] = {}
     rails = part(data, *_UNIT, "rails")
     for index, written in enumerate(rails if isinstance(rails, list) else []):
@@ -36,8 +48,12 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
                 yield (*place, key), f"rail {seen[key, value] + 1} {what} '{value}' already"
             seen.setdefault((key, value), index)
         rail = _Rail.of(written)
-        for inside, text in _against_block(rail):
+        supply = _against_supply(rail, part(written, "output"), limits)
+        for inside, text in (*_against_block(rail), *supply):
             yield (*place, *inside), text
+    pause_s = _value(part(data, *_UNIT, "pause"), DURATION)
+    if pause_s and limits is not None and limits.together:
+        yield (*_UNIT, "pause"), "this supply switches all of its outputs at once; leave 'pause' out"
 
 
 @dataclass(frozen=True)
@@ -121,6 +137,32 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
             f"a protection at {protection_v:g} V does not protect: the block may be given {span[0]:g} to "
             f"{span[1]:g} V only",
         )
+
+
+def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> Iterator[tuple[Place, str]]:
+    """The supply has the output, and can do what it is to be set to."""
+    if limits is None or not isinstance(output, str):
+        return
+    if output not in limits.outputs:
+        yield ("output",), unknown_word(output, list(limits.outputs), "output of this supply")
+        return
+    voltage_v, limit_a = rail.get("voltage"), rail.get("current_limit")
+    if voltage_v is None or limit_a is None:
+        return
+    settings = OutputSettings(voltage_v, limit_a, rail.get("over_voltage"))
+    for what in limits.outputs[output].transgressions(settings):
+        yield ("output",), f"the supply's output {output} cannot do {what}"
+
+
+def _limits_of_supply(written: Any) -> SupplyLimits | None:
+    """Return what the supply can do; None where it is not told, or not known."""
+    device = devices().get(part(written, "driver"))
+    if device is None or not issubclass(device.section, SupplyForm):
+        return None
+    try:
+        return device.section.model_validate(written).limits
+    except ValidationError:
+        return None
 
 
 def _value(written: Any, kind: QuantityKind) -> float | None:

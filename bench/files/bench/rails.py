@@ -9,14 +9,15 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import DurationS, SizeA, SizeV, SpanS, VoltageV
+from drivers.interfaces import OutputSettings
 
-_NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,30}")
+_NAME: Final = re.compile(r"[a-z][a-z0-9]{0,30}")
 
 
 def _names_a_column(name: str) -> str:
     if _NAME.fullmatch(name) is None:
         raise ValueError(
-            f"a rail names columns of the readings: a small letter, then small letters, digits and _, such as "
+            f"a rail names columns of the readings: a small letter, then small letters and digits, such as "
             f"'p15', not '{name}'"
         )
     return name
@@ -53,6 +54,11 @@ class RailSection(FileModel):
     limits: RailLimits
     current_limit: SizeA
     over_voltage: VoltageV | None = None
+
+    @property
+    def settings(self) -> OutputSettings:
+        """What the supply's output is set to."""
+        return OutputSettings(self.voltage, self.current_limit, self.over_voltage)
 
     @property
     def window_v(self) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.bench.rails import DriftForm
 from bench.files.shipped import find_bench
-from tests.support.fed_bench import FEED, N15, P15, fed_bench, write_fed
+from tests.support.fed_bench import FEED, MANUAL, N15, P15, fed_bench, write_fed
 
 
 def told(folder, feed):
@@ -64,12 +64,12 @@ def test_a_warm_up_may_be_until_the_signals_have_settled(tmp_path):
         ({"over_voltage": "15.1 V"}, "over_voltage", "within the rail's own tolerance, which ends at 15.2 V"),
         ({"over_voltage": "-16 V"}, "over_voltage", "within the rail's own tolerance"),
         ({"over_voltage": "19 V"}, "over_voltage", "the block may be given -0.5 to 18 V only"),
-        ({"name": "+15 V"}, "name", "a small letter, then small letters, digits and _"),
+        ({"name": "+15 V"}, "name", "a small letter, then small letters and digits"),
     ],
 )
 def test_a_rail_that_could_harm_the_block_is_refused(tmp_path, changes, place, text):
-    (mistake,) = told(tmp_path, with_rail(**changes))
-    assert mistake.place == f"unit_under_test.supply.rails[1].{place}"
+    by_place = {mistake.place: mistake for mistake in told(tmp_path, with_rail(**changes))}
+    mistake = by_place[f"unit_under_test.supply.rails[1].{place}"]
     assert text in mistake.text
     assert mistake.line > 0
 
@@ -99,3 +99,33 @@ def test_all_mistakes_are_told_at_once_with_their_lines(tmp_path):
 def test_a_warm_up_that_cannot_come_about_is_refused(tmp_path, warm_up, text):
     (mistake,) = told(tmp_path, {**FEED, "warm_up": warm_up})
     assert text in mistake.text
+
+
+def refused_by_supply(folder, feed, **supply):
+    with pytest.raises(FileMistakes) as error:
+        load_bench(write_fed(folder, feed, supply={**MANUAL, **supply}))
+    return [
+        (mistake.place.removeprefix("unit_under_test.supply."), mistake.text)
+        for mistake in error.value.mistakes
+    ]
+
+
+def test_rails_beyond_what_the_supply_can_do_are_refused_all_at_once(tmp_path):
+    weak = {"P25V": {"maximum": "12 V", "current": "100 mA"}}
+    found = refused_by_supply(tmp_path, with_rail(over_voltage="16 V"), outputs=weak)
+    assert [place for place, _ in found] == ["rails[1].output"] * 3 + ["rails[2].output"]
+    for (_, text), said in zip(
+        found,
+        ("15 V (it has 0 to 12 V)", "limit of 0.15 A", "protection (it has none)", "'N25V'"),
+        strict=True,
+    ):
+        assert said in text
+
+
+def test_a_block_that_is_fed_has_a_power_supply_on_its_bench(tmp_path):
+    path = write_fed(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    head, _, rest = text.partition("  power_supply:")
+    path.write_text(head + rest[rest.index("stand:") :], encoding="utf-8")
+    with pytest.raises(FileMistakes, match="the bench has no power supply"):
+        load_bench(path)
