@@ -13,6 +13,7 @@ from rich.console import Console
 
 from bench.analysis.diagnosis import Diagnosis, ThresholdCache
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
+from bench.analysis.mistakes.search import Mistake
 from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
 from bench.api.origin import SUFFIX
@@ -27,6 +28,7 @@ from bench.base.whole import write_whole
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
 from bench.readings.joined import JoinedPart, together
+from bench.readings.table import Readings
 
 TOGETHER: Final = "diagnose-together"
 
@@ -49,20 +51,19 @@ class Body:
         """Return the file that is written for it."""
         return (self.place or self.source).output(self.command, suffix)
 
-    def copy_files(self, full: FullDiagnosis) -> dict[Path, str]:
+    def copy_files(self, mistakes: Sequence[Mistake], corrected: Readings) -> dict[Path, str]:
         """Return the readings file of the copy with mistakes put right, and the one that tells where it comes from.
 
         It reads, with the same bench file, to the very readings that were searched. Nothing where there was no
         mistake.
         """
-        mistakes = full.diagnosis.mistakes
-        if not mistakes.mistakes:
+        if not mistakes:
             return {}
         path = self.output("-corrected.csv")
-        text = format_csv(as_read(mistakes.corrected, self.source.traced.by))
+        text = format_csv(as_read(corrected, self.source.traced.by))
         files = {path: text}
         if self.source.origin is not None and len(self.sha256) == 1:
-            mended = tuple(visible(mistake.words) for mistake in mistakes.mistakes)
+            mended = tuple(visible(mistake.words) for mistake in mistakes)
             origin = self.source.origin.model_copy(update={"mended": (*self.source.origin.mended, *mended)})
             files[path.with_name(path.name + SUFFIX)] = origin.text_beside(path, text.encode())
         return files

@@ -18,6 +18,7 @@ from rich.console import Console
 from bench.api.errors import Refused
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
+from bench.api.simulated_truth import simulated_truth
 from bench.api.taken import bench_path, why_taken
 from bench.api.traceability import remarks
 from bench.assembly.served import Assembly, dry_bench, real_bench
@@ -108,6 +109,8 @@ def new_run(
         ]
     if problems:
         raise Refused("\n".join(problems))
+    if dry_run:
+        simulated_truth(file, model)
     inputs = {
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
         PROCEDURE: procedure_path.read_bytes(),
@@ -346,15 +349,6 @@ def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
         following=following,
     )
     return Watcher(warning)
-
-
-def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the simulated world obeys: effects of the bench file and of the model file."""
-    installations = bench.installation_models()
-    effects = bench.applied_effects()
-    if model is not None:
-        effects += load_model(model, installations).applied_effects()
-    return ForwardModel(installations, effects)
 
 
 def _elapsed_s(history: History) -> float:

@@ -113,7 +113,7 @@ class FreeDiagnosisResult:
             told["rests on"] = "; ".join(found.apart)
         for one in found.found:
             told[free_words.title(one)] = f"p {one.p_all_looks:.2g} with all looks, rho {one.rho:.1f}"
-        told["gap"] = (
+        told["gap"] = gap.reason or (
             f"reduced chi-square of positions held out {gap.before:.3f} before, {gap.after:.3f} after, "
             f"1 expected; root mean square of |a| - 1 g {1e6 * gap.before_rms:.3g} ug before, "
             f"{1e6 * gap.after_rms:.3g} ug after"

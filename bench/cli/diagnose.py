@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
+    from bench.analysis.mistakes.search import Mistake
     from bench.api.diagnosis import Body
     from bench.api.source import Request, Source
+    from bench.readings.table import Readings
 
 
 @app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
@@ -99,17 +101,19 @@ def diagnose(
     except TooLittleLeft as found:
         if len(sources) > 1:
             raise
-        _told(found, str(sources[0]), json)
+        told(found, loaded[0], json)
         return 1 if strict else 0
     return 1 if strict and any(one.diagnosis.verdict != "agrees" for one in results) else 0
 
 
-def _told(found: TooLittleLeft, source: str, target: str | None) -> None:
-    """Print and write mistakes that leave too little to fit anything."""
+def told(found: TooLittleLeft, source: Source, target: str | None) -> None:
+    """Print and write mistakes that leave too little to fit anything, and what they leave."""
+    from bench.api.diagnosis import body_of
     from bench.report.diagnosis.terminal import print_mistakes
 
-    printing.write_json([found.to_dict(source)], target)
-    print_mistakes(found, source, printing.console(json=target))
+    found.copy = _written_copy(body_of([source]), found.mistakes, found.corrected)
+    printing.write_json([found.to_dict(source.name)], target)
+    print_mistakes(found, source.name, printing.console(json=target))
 
 
 def diagnosed(
@@ -194,7 +198,8 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     from bench.api.diagnosis import diagnosis_of
 
     full = diagnosis_of(body.source, body.nominal)
-    full = replace(full, copy=_written_copy(body, full))
+    mistakes = full.diagnosis.mistakes
+    full = replace(full, copy=_written_copy(body, mistakes.mistakes, mistakes.corrected))
     verdict, shrinks = full.diagnosis.of_copy, full.diagnosis.gap.shrinks
     # what makes the gap no smaller is no better model, whoever accepts it
     form = full.diagnosis.form
@@ -210,11 +215,11 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     return replace(full, report=_written_report(body, full)) if report else full
 
 
-def _written_copy(body: Body, full: FullDiagnosis) -> Path | None:
+def _written_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings) -> Path | None:
     """Write the readings with mistakes put right; None where there was none or it cannot be written."""
     from bench.base.whole import write_whole
 
-    files = body.copy_files(full)
+    files = body.copy_files(mistakes, corrected)
     try:
         for path, text in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)

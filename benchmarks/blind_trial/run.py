@@ -23,6 +23,7 @@ from typing import Final
 
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case, seal
+from benchmarks.blind_trial.free_positions import DESIGN, NOISE_G
 from benchmarks.blind_trial.known import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPAIRED
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.noises import NOISES
@@ -58,6 +59,14 @@ KNOWN_ROWS: Final = (
     Row(HAND_SET, "six"),
     Row(REPAIRED, rho=20),
 )
+FREE_ROWS: Final = (
+    *(Row(kind, DESIGN, noise_v=NOISE_G) for kind in ("free:null", "free:null records", "free:outlier")),
+    *(
+        Row(f"free:{of}", DESIGN, rho, NOISE_G)
+        for of in ("zeros", "drift", "warm_up", "square", "cube", "temperature")
+        for rho in (12, 25)
+    ),
+)
 FULL: Final[tuple[Row, ...]] = (
     Row("null", count=800),
     Row("null", noise_v=30e-6, count=300),
@@ -89,6 +98,7 @@ FULL: Final[tuple[Row, ...]] = (
     *(Row(f"mistake:{name}") for name in MISTAKES),
     *KNOWN_ROWS,
     *(Row(kind, rho=rho) for kind in SUPPLIED for rho in (8, 20)),
+    *FREE_ROWS,
     Row("single", rho=MANY_RHO * 20**0.5),
     *(Row("null", runs=20, blocks=blocks) for blocks in (False, True)),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks) for blocks in (False, True)),
@@ -109,6 +119,7 @@ SHORT: Final[tuple[Row, ...]] = (
     *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),
     *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
     *(replace(row, count=5) for row in KNOWN_ROWS),
+    *(replace(row, count=3) for row in FREE_ROWS if row.rho != 12),
     *(Row(kind, rho=20, count=5) for kind in SUPPLIED),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=4) for blocks in (False, True)),
 )

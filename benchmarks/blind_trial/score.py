@@ -14,6 +14,7 @@ from scipy.stats import binomtest, chi2
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
 from benchmarks.blind_trial.closing import true_closing
 from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
+from benchmarks.blind_trial.free_positions import FREE, judge_free
 from benchmarks.blind_trial.known import KNOWN, judge_known
 from benchmarks.blind_trial.outside_effects import WITHOUT_MEAN
 from benchmarks.blind_trial.signals import U0, K
@@ -138,6 +139,8 @@ def _judge_kind(
 ) -> Marks:
     verdict = diagnosis["verdict"]
     kind = answer.kind.split(":")[0]
+    if answer.kind in FREE:
+        return judge_free(answer.kind, answer.names[0] if answer.names else "", diagnosis)
     if kind == "null":
         return {"agrees": verdict == "agrees"}
     if kind == "hidden":

@@ -39,7 +39,7 @@ from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValu
 from bench.analysis.diagnosis.rounding import digit_of
 from bench.analysis.diagnosis.shapes import beside, with_other_shapes
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
-from bench.analysis.diagnosis.visibility import detectable, hidden
+from bench.analysis.diagnosis.visibility import detectable, hidden, smallest
 from bench.analysis.diagnosis.where import find_places
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
@@ -112,6 +112,7 @@ def diagnose(
         absent=absent,
         unseen_per_turn=looking_like(measured_rad, 0),
         detectable={family: size for family, size in sizes.items() if family not in absent},
+        smallest=smallest(whitened, limit, ratio),
         gap=gap,
         registered=registered,
         linear=linear,

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Whitened
-from bench.analysis.diagnosis.free_noise import grid_of
+from bench.analysis.diagnosis.free_noise import LEAST_FREEDOM, grid_of
 from bench.analysis.diagnosis.free_records import FreeRows
 from bench.analysis.diagnosis.gap import Fold, Gap, HeldOut
 from bench.analysis.diagnosis.naming import name
@@ -30,10 +30,15 @@ def free_gap(
 ) -> Gap:
     """Return the gap on readings held out; `sigma` is the scale of the search, `named` what all of them gave."""
     fold_of = np.arange(len(rows)) % FOLDS
-    folds = tuple(
-        _fold(rows, candidates, sigma, limit, noise, fold_of != number, number) for number in range(FOLDS)
-    )
-    return Gap(folds, noise, "g", noise.freedom, tuple(named))
+    folds, undetermined = [], []
+    for number in range(FOLDS):
+        train = fold_of != number
+        label = f"positions {number + 1}, {number + FOLDS + 1}, …"
+        if grid_of(rows, sigma, train).freedom < LEAST_FREEDOM:
+            undetermined.append(label)
+        else:
+            folds.append(_fold(rows, candidates, sigma, limit, noise, train, label))
+    return Gap(tuple(folds), noise, "g", noise.freedom, tuple(named), tuple(undetermined))
 
 
 def _fold(
@@ -43,7 +48,7 @@ def _fold(
     limit: Threshold,
     noise: NoiseSize,
     train: Mask,
-    number: int,
+    label: str,
 ) -> Fold:
     part = Candidates(candidates.columns[train], candidates.kinds, candidates.scale, candidates.variants)
     kept = Whitened.of(grid_of(rows, sigma, train), part)
@@ -56,7 +61,6 @@ def _fold(
     after = held_out(None)
     gains = {one.variant.family: held_out(one.variant.family).chi2 - after.chi2 for one in found}
     before = _predicted(rows, candidates.columns[:, :0], train, noise.reading)
-    label = f"positions {number + 1}, {number + FOLDS + 1}, …"
     return Fold(label, gains, before, after, "")
 
 

@@ -63,8 +63,11 @@ def scatter(rows: FreeRows) -> float:
     u, size, _ = np.linalg.svd(columns, full_matrices=False)
     u = u[:, size > 1e-9 * size[0]]
     freedom = len(rows) - u.shape[1]
-    if freedom < 1:
-        raise CalibrationError(f"{len(rows)} free positions leave nothing to tell the noise; measure more")
+    if freedom < LEAST_FREEDOM:
+        raise CalibrationError(
+            f"{len(rows)} free positions leave {max(freedom, 0)} to tell the noise, beside coefficients, and "
+            f"zeros and scale factors of each record; measure {LEAST_FREEDOM - freedom} more, all round"
+        )
     left = rows.response - u @ (u.T @ rows.response)
     return max(float(np.sqrt(left @ left / freedom)), 1e-9)
 

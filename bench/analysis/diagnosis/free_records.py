@@ -32,6 +32,8 @@ ZERO_BETWEEN_G: Final = 5e-3
 ANOTHER: Final = 4.0
 """Further than so many of these is another sensor, where times do not tell."""
 ROUNDS: Final = 6
+AT_REST_G: Final = 0.1
+"""Further off 1 g, whatever the coefficients, are no positions at rest: what sensors do is a tenth of it."""
 OWN: Final = len(UPPER)
 ZEROS: Final = (6, 7, 8)
 SCALES: Final = (0, 3, 5)
@@ -145,7 +147,11 @@ class FreeRows:
 
 
 def fit_sensor(signal: Floats) -> Block:
-    """Return the block that fits free positions (m, 3) best. Raises `CalibrationError` where they are too few."""
+    """Return the block that fits free positions (m, 3) best.
+
+    Raises `CalibrationError` where they are too few, or are no readings at rest: whatever explains those, it is not
+    what a sensor does.
+    """
     block = first_guess_free(signal)
     for _ in range(ROUNDS):
         force = block.specific_force(signal)
@@ -154,6 +160,12 @@ def fit_sensor(signal: Floats) -> Block:
         vector = block.vector.copy()
         vector[UPPER] += step
         block = Block.from_vector(vector)
+    off = float(np.sqrt(np.mean((np.linalg.norm(block.specific_force(signal), axis=1) - 1.0) ** 2)))
+    if not off < AT_REST_G:
+        raise CalibrationError(
+            f"{len(signal)} free positions are {off:.2g} g off |a| = 1 g even with the coefficients that fit them "
+            "best (root mean square), as no readings at rest are; leave out those in motion, or of another sensor"
+        )
     return block
 
 

@@ -50,6 +50,23 @@ class KnownBench:
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
+    def not_judged(self, readings: Readings) -> str:
+        """Return which effects are looked for as nobody says that the bench cannot have them; or nothing."""
+        recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
+        unknown = {
+            "range_offset": self.fixed_ranges is None and not recorded,
+            "channel_crosstalk": self.own_meters is None,
+            "meters_exchanged": self.own_meters is None,
+            "backlash": self.scale_on_axis is None,
+        }
+        names = [name for name in CATALOGUE if unknown.get(name)]
+        if not names:
+            return ""
+        return (
+            f"whether the bench can have {', '.join(names)} was not judged, as nobody named its bench file: "
+            "they are looked for; --bench FILE says what meters and head it has"
+        )
+
 
 NOTHING_KNOWN = KnownBench()
 """Of a bench of which nobody says anything."""

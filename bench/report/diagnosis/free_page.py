@@ -52,7 +52,7 @@ def render_free(
         overlays=drawn,
         in_time=_drawn(free_plots.modulus_in_time(found)),
         by_record=_drawn(free_plots.modulus_by_record(found)) if found.records > 1 else None,
-        gap_bars=_drawn(plots.gap_bars(found.gap)) if found.found else None,
+        gap_bars=_drawn(plots.gap_bars(found.gap)) if found.found and found.gap.folds else None,
         held_out=[
             Row(
                 fold.label,

@@ -33,11 +33,14 @@ def print_free(found: FreeDiagnosis, files: Sequence[tuple[str, Path]], out: Con
         for line in free_words.parameters(one):
             out.print(f"  {line}")
         out.print(typeset(f"  {words.p_in_words(one.p_all_looks)} with all looks counted, rho {one.rho:.1f}"))
-    out.print(
-        f"Gap on positions held out: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
-        f"(noise alone: 1); |a| is off by {quantity(gap.before_rms, 'g')} before, "
-        f"{quantity(gap.after_rms, 'g')} after"
-    )
+    if gap.opened:
+        out.print(
+            f"Gap on positions held out: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
+            f"(noise alone: 1); |a| is off by {quantity(gap.before_rms, 'g')} before, "
+            f"{quantity(gap.after_rms, 'g')} after"
+        )
+    else:
+        out.print("Gap: not measured, as no position can be held out; measure more of them, all round")
     if gap.reason:
         out.print(f"  not confirmed: {gap.reason}")
     for what, file in files:

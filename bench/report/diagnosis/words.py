@@ -38,6 +38,11 @@ STILL_MISSING: Final = (
 )
 
 
+LOUD_REPEATS: Final = (
+    "that scatter is itself larger than it should be: of what makes it larger this test says nothing"
+)
+
+
 def unit_in_print(unit: str) -> str:
     """Return a unit as it is printed: "µg/g²" for "ug/g^2"."""
     for written, printed in UNITS:
@@ -123,11 +128,19 @@ def place_in_words(place: Place) -> str:
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Return for each effect that can be seen the size that is found in half of all runs, in its unit.
 
-    It is that of the first parameter that has a size, in the form that shows best.
+    It is that of the form that shows best; of several parameters (the phases of a wave) their norm in the direction
+    that shows worst.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
         if not isfinite(factor) or name in diagnosis.hidden:
+            continue
+        if name in diagnosis.smallest:
+            told = [
+                with_unit(two_digits(one.size), one.unit) + (" in the part that shows" if one.part else "")
+                for one in diagnosis.smallest[name]
+            ]
+            sizes.append((name, " or ".join(told)))
             continue
         parameter = next(p for p in CATALOGUE[name].parameters if not p.is_shape)
         size = factor * parameter.plausible / parameter.si_per_unit
@@ -259,6 +272,11 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
     """Return what was found, each with what it cannot be told from: "bias_drift of x or warm_up"."""
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
+
+
+def mountings_of(block: Shown) -> str:
+    """Return the mountings of a block of several, as they stand in the body of data: "1/3, 2/3"."""
+    return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
 
 
 def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:

@@ -124,6 +124,31 @@ def test_too_few_positions_are_refused_with_what_to_do():
         diagnose_free([positions(5, 8)])
 
 
+def test_so_many_as_determine_the_coefficients_say_nothing_of_what_is_missing():
+    with pytest.raises(
+        CalibrationError, match=r"10 free positions leave 1 to tell the noise, .* measure 2 more"
+    ):
+        diagnose_free([positions(5, 10)])
+    # a fifth held out leaves too few: the gap is not measured, and nothing is named by it
+    few = diagnose_free([positions(5, 13)])
+    assert few.gap.to_dict()["before"] is None
+    assert few.verdict != "named"
+
+
 def test_only_tables_of_free_positions_are_taken():
     assert all_free([positions(1)])
     assert not all_free([])
+
+
+def test_readings_in_motion_are_refused_and_not_explained():
+    moving = positions(6, 60)
+    moving.signal[:] *= np.random.default_rng(6).uniform(0.5, 1.5, (60, 1))
+    with pytest.raises(CalibrationError, match=r"no readings at rest|do not lie on an ellipsoid"):
+        diagnose_free([moving])
+
+
+def test_of_one_sensor_each_table_is_a_record_though_the_times_are_the_same():
+    tables = [positions(7, 25), positions(8, 25)]
+    tables[1].time_s[:] = tables[0].time_s
+    assert len(np.unique(make_rows(tables, one_sensor=True).record)) == 2
+    assert make_rows(tables).sensors == 2
