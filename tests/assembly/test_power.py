@@ -24,8 +24,8 @@ def fed_file(folder, supply):
     return load_bench(path)
 
 
-def test_a_bench_without_a_supply_feeds_its_block_always():
-    assert power_of(load_bench(find_bench("bench-gpib"))).rails == ()
+def test_a_bench_that_says_nothing_of_a_supply_feeds_its_block_always():
+    assert power_of(load_bench(find_bench("paper-stand"))).rails == ()
 
 
 def test_the_rails_of_the_block_hang_on_the_outputs(tmp_path):
