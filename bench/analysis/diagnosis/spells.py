@@ -16,8 +16,8 @@ def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield labels of what may belong together: the later passes of a mounting, one pass, a whole mounting.
 
     A whole mounting only where its installation was mounted more than once: of one that was not, nothing says
-    that the block ever sat otherwise, and how it sat are the angles of its mounting. With `lasting` any mounting, and all
-    that comes after a pass, verification points included: what stays through a remount.
+    that the block ever sat otherwise, and how it sat are the angles of its mounting. With `lasting` any mounting,
+    and all that comes after a pass, verification points included: what stays through a remount.
     A mounting all passes of which belong to it is named by itself.
     """
     mounts = [
