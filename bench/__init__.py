@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         read_readings,
         verify,
     )
+    from bench.api.free_diagnosis import FreeDiagnosisResult
     from bench.api.verification import VerificationResult
     from bench.base.forms import FileMistakes
     from bench.files.bench.file import BenchFile
@@ -51,6 +52,7 @@ __all__ = [
     "DiagnosisResult",
     "DryRun",
     "FileMistakes",
+    "FreeDiagnosisResult",
     "Readings",
     "ReadingsError",
     "RecordError",
@@ -76,6 +78,7 @@ _HOMES: Final = {
     "bench.api.face": (
         "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
     ),
+    "bench.api.free_diagnosis": ("FreeDiagnosisResult",),
     "bench.api.verification": ("VerificationResult",),
     "bench.base.forms": ("FileMistakes",),
     "bench.files.bench.file": ("BenchFile",),

@@ -1,8 +1,8 @@
 """What many runs taken together cost: a diagnosis of so many runs of the blind trial as one body of data.
 
 In each hides the same effect of rho 2.3, which no run shows by itself; of one block, or of a block each. CPU time
-and peak of memory of a process of its own, with its start, the threshold of the design simulated anew; the ratio is
-to one run, diagnosed in the same way. The limits for twenty are a minute and 1 GB:
+and peak of memory of a process of its own, with its start and the page, the threshold of the design simulated anew;
+the ratio is to one run, diagnosed in the same way. The limits for twenty are a minute and 1 GB:
 
     python -m benchmarks.many_runs --runs 1 5 20
 """
@@ -19,17 +19,35 @@ LIMIT_S: Final = 60.0
 LIMIT_MB: Final = 1000.0
 RHO: Final = 2.3
 SEED: Final = 1
+G_M_S2: Final = 9.81
 
 
 def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
     """Return CPU time, s, peak of memory, MB, and the verdict, of a diagnosis in this very process."""
-    from benchmarks.blind_trial.adapter import diagnose_case
+    from bench.analysis.diagnosis import ThresholdCache
+    from bench.analysis.diagnosis.full import diagnose_fully
+    from bench.files.bench.file import load_bench
+    from bench.files.shipped import find_bench
+    from bench.model import ForwardModel
+    from bench.report.diagnosis.page import render_diagnosis
     from benchmarks.blind_trial.cases import Row, make_case
 
-    row = Row("single", rho=RHO, runs=runs, blocks=blocks)
-    diagnosis = diagnose_case(make_case(SEED, row, 0)[0])
+    case, _ = make_case(SEED, Row("single", rho=RHO, runs=runs, blocks=blocks), 0)
+    bench = load_bench(find_bench("paper-stand"))
+    model = ForwardModel(bench.installation_models())
+    full = diagnose_fully(
+        case.readings,
+        model,
+        bench,
+        G_M_S2,
+        ThresholdCache(None),
+        source="many",
+        simulated=False,
+        stated=False,
+    )
+    render_diagnosis(full, "many", bench.verification_limit_g, {"model": model.name})
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    return time.process_time(), peak, str(diagnosis["verdict"])
+    return time.process_time(), peak, full.diagnosis.verdict
 
 
 def main() -> int:

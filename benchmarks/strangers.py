@@ -70,12 +70,11 @@ def same(wanted: Any) -> Callable[[Any], bool]:
 
 
 @contextmanager
-def served(program: str) -> Iterator[dict[str, Any]]:
-    """Serve the shipped bench with meters as on a LAN; yield the ready file's content."""
+def served(program: str, written: str) -> Iterator[dict[str, Any]]:
+    """Serve the bench of a bench file's text, its head turned to 45°; yield the ready file's content."""
     with tempfile.TemporaryDirectory() as folder:
         bench_file, ready = Path(folder) / "bench.yaml", Path(folder) / "ready.json"
-        shipped = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
-        bench_file.write_text(shipped.replace("interface: gpib", "interface: lan"), encoding="utf-8")
+        bench_file.write_text(written, encoding="utf-8")
         files = ["--bench", str(bench_file), "--ready-file", str(ready)]
         command = [program, "simulate", *files, "--speed", str(SPEED)]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603 - our own program
@@ -264,7 +263,8 @@ def main() -> int:
     if not present:
         return 0
     wrong = []
-    with served(program) as content:
+    shipped = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
+    with served(program, shipped.replace("interface: gpib", "interface: lan")) as content:
         print(f"{'client':12}{'wire':6}{'exchanges':>10}{'wrong':>7}{'time':>9}")
         for name, run in present.items():
             meter = content["instruments"][0 if name == "pymeasure" else 1]

@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from drivers.interfaces import BenchError
+from sim.scpi.instrument import ScpiInstrument
 from sim.wires.faults import FaultKind, FaultyInstrument
 from sim.wires.prologix import GpibAdapter
 from sim.wires.pty import TerminalServer
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from drivers.clock import Clock
     from drivers.interfaces import Channel
-    from sim.scpi.instrument import ScpiInstrument
     from sim.wires.faults import Fault
     from sim.wires.session import Dialect
     from sim.world.world import World
@@ -40,12 +40,13 @@ class SimulatedMeter:
     """One voltmeter: what makes it, which channels of the block are at its inputs, what it is like.
 
     `make` is called with what the meter is wired to, its clock and the `options`; a meter with several inputs
-    has `inputs` by their channels, and is given the wiring of each number.
+    has `inputs` by their channels, and is given the wiring of each number; `probes` are wired to it beside.
     """
 
     make: Callable[..., ScpiInstrument]
     inputs: Channel | Mapping[Channel, int]
     options: Mapping[str, Any] = field(default_factory=dict)
+    probes: Mapping[int, Any] = field(default_factory=dict)
 
     def on(self, world: World, clock: Clock | None = None) -> ScpiInstrument:
         """Return the meter, wired to its channels of a world; `clock` is its own where it is not the world's."""
@@ -53,7 +54,9 @@ class SimulatedMeter:
         if isinstance(self.inputs, str):
             wiring = world.terminals(self.inputs)
         else:
-            wiring = {number: world.terminals(channel) for channel, number in self.inputs.items()}
+            wiring = {number: world.terminals(channel) for channel, number in self.inputs.items()} | dict(
+                self.probes
+            )
         return self.make(wiring, clock or world.clock, **self.options)
 
 
@@ -62,9 +65,9 @@ class SimulatedBench:
 
     `instruments` gives each by its name on the bench, a meter or any dialect over the world; a dialect may
     say its `model`. Each gets a TCP port of `host`, free ones or `first_port` and those after it, and a
-    pseudo-terminal when `with_terminals` names it or is True. `buses` says which meters are on the GPIB bus of
+    pseudo-terminal when `with_terminals` names it or is True. `buses` says which instruments are on the GPIB bus of
     an adapter instead, `{"adapter": {"voltmeter.x": 22, …}}`: the adapter then has the port, and all of its
-    meters share it. `faults` are armed for the instruments that they name, or for all that can have them.
+    instruments share it. `faults` are armed for the instruments that they name, or for all that can have them.
     Within the context `resources` holds the VISA name of each, `dialects` what was given, `faulty` and `wired`
     the layers around them, `servers` and `terminals` their wires. A virtual clock of the world then waits,
     before it moves, until every command that is on a wire has been carried out.
@@ -126,15 +129,18 @@ class SimulatedBench:
         return self.faulty[name]
 
     def _attach(self, adapter: str, members: Mapping[str, Dialect | SimulatedMeter]) -> None:
-        """Put meters on the bus of an adapter; each lives by the clock that the adapter gives it."""
+        """Put instruments on the bus of an adapter; a meter lives by the clock that the adapter gives it."""
         bus = GpibAdapter(self.world.clock)
         self._add(adapter, bus)
         for name, given in members.items():
-            if not isinstance(given, SimulatedMeter):
-                raise ValueError(f"{name} cannot be put on a GPIB bus: only meters can")
+            if isinstance(given, SimulatedMeter):
+                make: Callable[[Clock], ScpiInstrument] = partial(given.on, self.world)
+            elif isinstance(given, ScpiInstrument):
+                make = partial(_as_it_is, given)
+            else:
+                raise ValueError(f"{name} cannot be put on a GPIB bus: only what speaks SCPI can")
             address = self._on_bus[name][1]
-            meter = bus.attach(address, partial(given.on, self.world))
-            bus.let_through(address, self._add(name, meter))
+            bus.let_through(address, self._add(name, bus.attach(address, make)))
 
     def __enter__(self) -> SimulatedBench:
         """Start all servers. Raises `BenchError` when a port or a terminal is not to be had; then none runs."""
@@ -216,6 +222,11 @@ class SimulatedBench:
     def _is_of_another_wire(self, name: str, fault: Fault) -> bool:
         """Whether a fault is of a wire, which an instrument on a bus does not have."""
         return name in self._on_bus and fault.kind not in OF_INSTRUMENT
+
+
+def _as_it_is(instrument: ScpiInstrument, clock: Clock) -> ScpiInstrument:
+    """Return an instrument that takes no time for what it does, whatever clock it could live by."""
+    return instrument
 
 
 @contextmanager

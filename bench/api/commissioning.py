@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.api.errors import Refused
-from bench.api.execution import simulated_truth
 from bench.api.provenance import versions
+from bench.api.simulated_truth import simulated_truth
 from bench.assembly.commissioned import dry_evening, real_evening
 from bench.base.numbers import without_infinity
 from bench.base.whole import to_text, write_whole

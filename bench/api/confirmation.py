@@ -11,9 +11,13 @@ from rich.console import Console
 
 from bench.analysis.diagnosis import ThresholdCache
 from bench.analysis.diagnosis.confirm import Confirmation, confirm
+from bench.analysis.diagnosis.free_confirm import confirm_free
+from bench.analysis.diagnosis.free_result import OUTLIER, FreeDiagnosis
 from bench.analysis.mistakes.search import Mistake
 from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
+from bench.api.free_diagnosis import free_sources
+from bench.api.own_effects import knowing_effects_of
 from bench.api.source import Source, data_sha256
 from bench.base.cache import cache_folder
 from bench.base.numbers import without_infinity
@@ -50,13 +54,21 @@ class ConfirmationResult:
     @property
     def mistakes(self) -> tuple[Mistake, ...]:
         """What was put right in a copy of the readings before they were held against the model."""
-        return (*self.known, *self.found.diagnosis.mistakes.mistakes)
+        diagnosis = self.found.diagnosis
+        return (
+            self.known
+            if isinstance(diagnosis, FreeDiagnosis)
+            else (*self.known, *diagnosis.mistakes.mistakes)
+        )
 
     @property
     def notes(self) -> Iterator[str]:
         """Yield what else there is to know of these readings."""
         yield from (f"{one.name}: {one.words}; put right in a copy" for one in self.mistakes)
-        yield from self.found.diagnosis.notes
+        diagnosis = self.found.diagnosis
+        if isinstance(diagnosis, FreeDiagnosis):
+            yield from (f"{OUTLIER}: {words}" for words in diagnosis.apart)
+        yield from diagnosis.notes
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench confirm --json` writes it."""
@@ -100,6 +112,9 @@ def confirmation_of(source: Source) -> ConfirmationResult:
             f"--model {path}: it was found in these very readings ({source.name}), which cannot confirm it; "
             "take new ones"
         )
+    if free_sources([source]):
+        with knowing_effects_of(source):
+            return ConfirmationResult(source, confirm_free([source.readings], source.model), ())
     bench = source.bench
     readings, known = put_right(source)
     found = confirm(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
 
 from bench.analysis.diagnosis import Diagnosis, ThresholdCache
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
+from bench.analysis.mistakes.search import Mistake
 from bench.api.early_mistakes import put_right
 from bench.api.errors import Refused
 from bench.api.origin import SUFFIX
@@ -26,38 +28,42 @@ from bench.base.whole import write_whole
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
 from bench.readings.joined import JoinedPart, together
+from bench.readings.table import Readings
+
+TOGETHER: Final = "diagnose-together"
 
 
 @dataclass(frozen=True)
 class Body:
     """A body of readings with the hashes of what it is made of, and the name of what is written for it.
 
-    `nominal` (blocks, 3) are the scale factors of the data sheets where blocks of several kinds are in it.
+    `nominal` (blocks, 3) are the scale factors of the data sheets where blocks of several kinds are in it. Of
+    several sources `place` is the one beside which it is written.
     """
 
     source: Source
     sha256: tuple[str, ...]
     command: str = "diagnose"
     nominal: Floats | None = None
+    place: Source | None = None
 
     def output(self, suffix: str) -> Path:
         """Return the file that is written for it."""
-        return self.source.output(self.command, suffix)
+        return (self.place or self.source).output(self.command, suffix)
 
-    def copy_files(self, full: FullDiagnosis) -> dict[Path, str]:
+    def copy_files(self, mistakes: Sequence[Mistake], corrected: Readings) -> dict[Path, str]:
         """Return the readings file of the copy with mistakes put right, and the one that tells where it comes from.
 
         It reads, with the same bench file, to the very readings that were searched. Nothing where there was no
         mistake.
         """
-        mistakes = full.diagnosis.mistakes
-        if not mistakes.mistakes:
+        if not mistakes:
             return {}
         path = self.output("-corrected.csv")
-        text = format_csv(as_read(mistakes.corrected, self.source.traced.by))
+        text = format_csv(as_read(corrected, self.source.traced.by))
         files = {path: text}
         if self.source.origin is not None and len(self.sha256) == 1:
-            mended = tuple(visible(mistake.words) for mistake in mistakes.mistakes)
+            mended = tuple(visible(mistake.words) for mistake in mistakes)
             origin = self.source.origin.model_copy(update={"mended": (*self.source.origin.mended, *mended)})
             files[path.with_name(path.name + SUFFIX)] = origin.text_beside(path, text.encode())
         return files
@@ -143,7 +149,17 @@ def body_of(sources: list[Source], *, one_block: bool | None = None) -> Body:
     if blocks[0] is not None:
         kinds = {n: s for n, s in zip(blocks, sources, strict=True) if n is not None}
         nominal = np.array([kinds[n].bench.unit_under_test.scale_factors.values for n in sorted(kinds)])
-    return Body(whole, hashes, "diagnose-together", nominal)
+    return Body(whole, hashes, TOGETHER, nominal, place_together(sources))
+
+
+def place_together(sources: Sequence[Source]) -> Source:
+    """Return the first of several sources, by a name under which what is written of all of them stands."""
+    first = sources[0]
+    if len(sources) == 1:
+        return first
+    stem = Path(first.name).stem
+    others = Path(sources[1].name).stem if len(sources) == 2 else f"{len(sources) - 1}-more"
+    return replace(first, name=str(Path(first.name).parent / f"{stem}+{others}.csv"))
 
 
 def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:

@@ -18,6 +18,7 @@ from rich.console import Console
 from bench.api.errors import Refused
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
+from bench.api.simulated_truth import simulated_truth
 from bench.api.taken import bench_path, why_taken
 from bench.api.traceability import remarks
 from bench.assembly.served import Assembly, dry_bench, real_bench
@@ -37,6 +38,7 @@ from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, check
 from bench.run.history import History, read_history
 from bench.run.log import RunLog
 from bench.run.manifest import Manifest, RecordError, VerdictAsked
+from bench.run.power import Feeding
 from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
@@ -107,6 +109,8 @@ def new_run(
         ]
     if problems:
         raise Refused("\n".join(problems))
+    if dry_run:
+        simulated_truth(file, model)
     inputs = {
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
         PROCEDURE: procedure_path.read_bytes(),
@@ -263,11 +267,13 @@ def carry_out(
                     bench.unit_under_test.temperature.maximum,
                 ),
                 least_samples=bench.least_samples,
+                setting_u_rad=bench.stand_distributions()["setting_error"].u,
                 slow_chamber_s=_slow_chamber_s(bench),
                 clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
                 on_settling=bar.settling,
                 hold_signals=signals.hold,
                 certificates=_on_certificates(bench, simulated=run.simulated),
+                fed=_fed(bench),
             ).run(resume)
         _refuse_renamed(record)
     except RunAborted as why:
@@ -294,6 +300,12 @@ def _on_certificates(
     return lambda serials: remarks(bench, None if simulated else serials)
 
 
+def _fed(bench: BenchFile) -> Feeding | None:
+    """Return how the power supply feeds the block, None where the bench file does not say so."""
+    section, supply = bench.unit_under_test.supply, bench.instruments.power_supply
+    return None if section is None or supply is None else Feeding(section, supply.limits)
+
+
 def _slow_chamber_s(bench: BenchFile) -> float:
     chamber = bench.instruments.chamber
     return chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S
@@ -304,7 +316,9 @@ def _assembly(
     run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console, haste: Haste
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
     """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
-    bar = ProgressBar(run.plan, out, [run.plan.step_duration_s(step) for step in run.plan.steps])
+    supply = bench.unit_under_test.supply
+    step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
+    bar = ProgressBar(run.plan, out, step_s)
     with bar:
         if run.simulated:
             taken = [one[1] for one in (history.taken if history else ()) if one is not None]
@@ -335,15 +349,6 @@ def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
         following=following,
     )
     return Watcher(warning)
-
-
-def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the simulated world obeys: effects of the bench file and of the model file."""
-    installations = bench.installation_models()
-    effects = bench.applied_effects()
-    if model is not None:
-        effects += load_model(model, installations).applied_effects()
-    return ForwardModel(installations, effects)
 
 
 def _elapsed_s(history: History) -> float:

@@ -22,6 +22,7 @@ from bench.analysis.calibration.estimators import GLS
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.confirmation import ConfirmationResult, confirmation_of
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
+from bench.api.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
 from bench.api.origin import origin_beside
 from bench.api.own_effects import knowing_effects_in
 from bench.api.source import Request, Source, load_sources
@@ -143,15 +144,21 @@ def diagnose(
     g: float | None = None,
     skip_bad_rows: bool = False,
     runs: str | Path | None = None,
-) -> DiagnosisResult:
+    one_block: bool | None = None,
+) -> DiagnosisResult | FreeDiagnosisResult:
     """Return where readings and model disagree and what is missing, as `bench diagnose` finds it.
 
-    A list of sources is one body of readings: of one block, on one bench. All else as in `calibrate`.
+    A list of sources is one body of readings, on one bench: of `one_block`, or of a block each; where nobody says
+    (None), names and readings tell. Of free positions alone the result is a `FreeDiagnosisResult`. All else as in
+    `calibrate`.
     """
     sources = list(source) if isinstance(source, list | tuple) else [source]
     with knowing_effects_in(effects):
-        body = body_of(_loaded(sources, bench, model, g, runs, skip_bad_rows=skip_bad_rows))
-        return DiagnosisResult(body.source, diagnosis_of(body.source))
+        loaded = _loaded(sources, bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+        if free_sources(loaded):
+            return free_diagnosis_of(loaded, one_block=one_block)
+        body = body_of(loaded, one_block=one_block)
+        return DiagnosisResult(body.source, diagnosis_of(body.source, body.nominal))
 
 
 def confirm(

@@ -9,8 +9,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
 from bench.assembly.served import real_bench
+from bench.base.arrays import ARCSEC
 from bench.devices.chambers import ChamberForm
 from bench.devices.heads import HeadForm
+from bench.devices.supplies import SupplyForm
 from bench.files.bench.file import BenchFile
 from bench.run.workbench import QUICK_NPLC
 from drivers.angles import format_dms
@@ -21,10 +23,13 @@ from drivers.interfaces import (
     Identity,
     Instrument,
     InstrumentLost,
+    Level,
     NoAnswer,
+    PowerSupply,
     Prompt,
     SelfTesting,
     ThermalChamber,
+    Thermometer,
     Voltmeter,
     VoltmeterSettings,
 )
@@ -95,7 +100,7 @@ class InstrumentLook:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the row as JSON values; `value` in V by channel, rad, or °C."""
+        """Return the row as JSON values; `value` in V by channel or output, rad, or °C."""
         return {
             "name": self.name,
             "address": self.address,
@@ -129,6 +134,8 @@ def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
         settings = f"within {format_dms(section.tolerance)}"
     elif isinstance(section, ChamberForm):
         settings = f"{section.minimum:g} to {section.maximum:g} °C"
+    elif isinstance(section, SupplyForm) and section.limits is not None:
+        settings = f"outputs {', '.join(section.limits.outputs)}"
     where = "by hand" if address is None else str(address)
     return InstrumentLook(instrument.name, where, settings, samples=file.least_samples)
 
@@ -183,7 +190,7 @@ def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> Non
 
 
 def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
-    """Take one reading of a voltmeter, the position of a head, the temperature of a chamber."""
+    """Take one reading: a voltmeter's, the position of a head, a temperature, volts of a supply, a level's."""
     if isinstance(instrument, Voltmeter):
         instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, row.samples))
         row.settings = f"{range_v:g} V, {QUICK_NPLC:g} NPLC"
@@ -193,6 +200,20 @@ def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
     elif isinstance(instrument, ThermalChamber):
         row.value = instrument.temperature("instruments")
         row.shows = f"{row.value:.1f} °C"
+    elif isinstance(instrument, PowerSupply):
+        states = instrument.state("instruments")
+        row.value = {output: state.voltage_v for output, state in states.items()}
+        row.shows = ", ".join(
+            f"{output} {f'{state.voltage_v:.3f} V {state.current_a:.4f} A' if state.on else 'off'}"
+            for output, state in states.items()
+        )
+    elif isinstance(instrument, Thermometer):
+        row.value = instrument.block_c("instruments")
+        row.shows = f"{row.value:.2f} °C, {instrument.sensor}"
+    elif isinstance(instrument, Level):
+        found = instrument.inclination("instruments", turned=False)
+        row.value = {"along": found.along_rad, "across": found.across_rad}
+        row.shows = ", ".join(f"{axis} {value / ARCSEC:+.1f} arcsec" for axis, value in row.value.items())
     elif isinstance(instrument, _HasScale):
         row.value = instrument.position_rad()
         row.shows = format_dms(row.value)

@@ -112,6 +112,7 @@ def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
 
 
 def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+    supply = bench.unit_under_test.supply
     needed, free = disk_needed_bytes(plan), _free_bytes(runs)
     problems = check(plan, bench)
     if needed > free:
@@ -126,9 +127,9 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
         problems=tuple(problems),
         unanswered=tuple(prompts_without_default(plan)),
         operator_actions=operator_actions(plan, bench),
-        by_kind_s=plan.duration_by_kind_s(bench.line_frequency),
-        by_mount_s=plan.duration_by_mount_s(bench.line_frequency),
-        longest_s=plan.longest_duration_s(bench.line_frequency),
+        by_kind_s=plan.duration_by_kind_s(bench.line_frequency, supply),
+        by_mount_s=plan.duration_by_mount_s(bench.line_frequency, supply),
+        longest_s=plan.longest_duration_s(bench.line_frequency, supply),
         runs=runs,
         needed_bytes=needed,
         free_bytes=free,

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from bench.devices.chambers import ChamberForm, ControlledChamberForm
-from bench.devices.heads import HeadForm, MotorisedHeadForm
+from bench.devices.chambers import ControlledChamberForm
+from bench.devices.heads import MotorisedHeadForm
+from bench.devices.levels import LevelForm
 from bench.devices.registry import devices
+from bench.devices.supplies import WiredSupplyForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
 from bench.files.bench.file import BenchFile
+from bench.files.bench.instruments import InstrumentForm, InstrumentsSection
 from bench.run.workbench import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
@@ -20,8 +23,6 @@ from drivers.motion import Travel
 from drivers.wire.haste import Haste
 from drivers.wire.holding import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
-
-Section = VoltmeterForm | HeadForm | ChamberForm
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class Surroundings:
             timeout_s=section.timeout,
             read_termination=port.read_termination,
             write_termination=port.write_termination,
+            read_tail=port.read_tail,
             serial=None if port.serial is None else SerialSettings(**port.serial),
             wire=self.wire,
             haste=self.haste,
@@ -65,14 +67,18 @@ def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
     Raises `BenchError` for a driver that cannot be loaded.
     """
     sections = bench.instruments
+    meters = [_driver(meter, given) for meter in sections.voltmeters]
     return Instruments(
-        [_driver(meter, given) for meter in sections.voltmeters],
+        meters,
         _driver(sections.head, given),
         None if sections.chamber is None else _driver(sections.chamber, given),
+        None if sections.level is None else _driver(sections.level, given),
+        _thermometer(sections, meters, given),
+        None if sections.power_supply is None else _driver(sections.power_supply, given),
     )
 
 
-def loaded_class(section: Section, which: Literal["driver", "simulation"]) -> Any:
+def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]) -> Any:
     """Return the class of a section's driver or simulation. Raises `BenchError` where it cannot be loaded."""
     device = devices().get(section.driver)
     if device is None:
@@ -86,7 +92,23 @@ def loaded_class(section: Section, which: Literal["driver", "simulation"]) -> An
         raise BenchError(section.name, cause, "mend it, then start again") from error
 
 
-def _driver(section: Section, given: Surroundings) -> Any:
+def _thermometer(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> Any:
+    """Return the driver of the thermometer; beside the signals it speaks over the voltmeter's session."""
+    section = sections.thermometer
+    if section is None:
+        return None
+    driver, options = loaded_class(section, "driver"), section.driver_options()
+    if not isinstance(section, WiredForm):
+        return driver(section.name, given.person, **options)
+    options["line_hz"] = given.line_hz
+    beside = sections.meter_of_thermometer
+    if beside is None:
+        return driver(section.name, given.session(section.name, section), given.clock, **options)
+    options |= {"interface": beside.interface, "meter": meters[sections.voltmeters.index(beside)]}
+    return driver(section.name, given.sessions[beside.name], given.clock, **options)
+
+
+def _driver(section: InstrumentForm, given: Surroundings) -> Any:
     driver, options = loaded_class(section, "driver"), section.driver_options()
     if not isinstance(section, WiredForm):
         return driver(section.name, given.person, **options)
@@ -98,4 +120,6 @@ def _driver(section: Section, given: Surroundings) -> Any:
         return driver(section.name, session, given.clock, Travel(**section.travel()), **options)
     if isinstance(section, ControlledChamberForm):
         return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
+    if isinstance(section, WiredSupplyForm | LevelForm):
+        return driver(section.name, session, given.clock, **options)
     raise TypeError(f"{type(section).__name__} has a wire, but the form of no role")

@@ -31,6 +31,7 @@ _DEFINITIONS: Final = (
     "year = 365.25 day",
     "hertz = 1 / second = Hz",
     "volt = [voltage] = V",
+    "ampere = [current] = A",
     "radian = [angle] = rad",
     f"degree = {math.pi!r} / 180 radian = deg",
     f"arcminute = {math.pi!r} / 10800 radian = arcmin",
@@ -44,8 +45,9 @@ _DEFINITIONS: Final = (
 )
 """Only what a bench needs: a short list refuses slips (kg, mT) that a general one would take."""
 
-_UNITS: Final = ("V", "mV", "uV", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s", "ms", "min",
-                 "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm", "percent")  # fmt: skip
+_UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
+                 "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
+                 "percent")  # fmt: skip
 
 _QUANTITY: Final = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*?)\s*")
 _UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?\d)?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?\d)?)*")
@@ -75,6 +77,7 @@ class QuantityKind:
 
 ANGLE: Final = QuantityKind("an angle", "90 arcsec", "rad")
 VOLTAGE: Final = QuantityKind("a voltage", "0.3 mV", "V")
+CURRENT: Final = QuantityKind("a current", "200 mA", "A")
 DURATION: Final = QuantityKind("a duration", "30 s", "s")
 TEMPERATURE: Final = QuantityKind("a temperature", "23 degC", "degC", only=("degC",))
 DIFFERENCE: Final = QuantityKind("a difference of temperatures", "2 K", "K", only=("K", "mK"))
@@ -187,7 +190,8 @@ def unit_of(unit: str) -> tuple[float, Dimension]:
 
 
 _SI_OF: Final = {
-    "[time]": "s", "[length]": "m", "[voltage]": "V", "[celsius]": "K", "[angle]": "rad", "[gravity]": "g",
+    "[time]": "s", "[length]": "m", "[voltage]": "V", "[current]": "A", "[celsius]": "K", "[angle]": "rad",
+    "[gravity]": "g",
 }  # fmt: skip
 _PLAIN: Final = ("rad", "g")
 
@@ -219,5 +223,7 @@ AccelerationMS2 = Annotated[float, reads(GRAVITY)]
 LengthM = Annotated[float, reads(LENGTH)]
 FrequencyHz = Annotated[float, reads(FREQUENCY)]
 Ratio = Annotated[float, reads(RATIO)]
+SizeV = Annotated[float, not_negative(VOLTAGE)]
 SizeRad = Annotated[float, not_negative(ANGLE)]
 SpanS = Annotated[float, not_negative(DURATION)]
+SizeA = Annotated[float, not_negative(CURRENT)]

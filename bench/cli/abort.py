@@ -15,5 +15,8 @@ def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
     record, history = taken_up(found)
     record.append("run_aborted", history.events[-1].bench_s if history.events else 0.0)
     record.close()
-    printing.console().print(f"{found.name}: aborted; its record is kept in {found.folder}")
+    out = printing.console()
+    out.print(f"{found.name}: aborted; its record is kept in {found.folder}")
+    if history.progress.power in {"on", "found on", "fault"}:
+        out.print("look: the block was on when the run stopped, and nobody has switched it off since")
     return 0

@@ -58,11 +58,14 @@ def check(
 
 def _print(found: Findings, *, every_step: bool) -> None:
     from bench.api.outlook import disk_space
+    from bench.procedure.check import switched_before
     from bench.procedure.listing import listing
     from bench.run.terminal import duration
 
     out = printing.console()
     plan, bench = found.plan, found.bench
+    if (before := switched_before(plan, bench)) is not None:
+        out.print(f"{'before':>13}  {before}")
     for line in listing(plan, every_step=every_step):
         steps = f"{line.first}" if line.first == line.last else f"{line.first}–{line.last}"
         out.print(f"{steps:>13}  {line.text}")
@@ -96,7 +99,7 @@ def _print_times(out: Console, heading: str, times_s: Mapping[str, float], count
 
     table = printing.table(heading, *([">count"] if counts else []), ">expected time")
     for name, seconds in times_s.items():
-        table.add_row(name, *([counts[name]] if counts else []), duration(seconds))
+        table.add_row(name, *([counts.get(name, "")] if counts else []), duration(seconds))
     out.print(table)
 
 

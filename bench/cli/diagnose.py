@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,10 +32,11 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.analysis.diagnosis.free_positions import FreeDiagnosis
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
+    from bench.analysis.mistakes.search import Mistake
     from bench.api.diagnosis import Body
     from bench.api.source import Request, Source
+    from bench.readings.table import Readings
 
 
 @app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
@@ -74,15 +76,18 @@ def diagnose(
 ) -> int:
     """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
     one_thread()
-    from bench.analysis.diagnosis.free_positions import all_free
     from bench.analysis.diagnosis.full import TooLittleLeft
+    from bench.api.free_diagnosis import free_sources
     from bench.api.source import Request, load_sources
+    from bench.cli.free import diagnosed_free
 
     printing.check_target(json)
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
     loaded = load_sources(request)
-    if all_free([source.readings for source in loaded]):
-        free = _free(loaded, json, together=together, one_sensor=one_block)
+    if free_sources(loaded):
+        free = diagnosed_free(
+            loaded, json, together=together, one_block=one_block, accept_first=accept_first, report=report
+        )
         return 1 if strict and any(one.verdict != "agrees" for one in free) else 0
     try:
         results = diagnosed(
@@ -97,17 +102,19 @@ def diagnose(
     except TooLittleLeft as found:
         if len(sources) > 1:
             raise
-        _told(found, str(sources[0]), json)
+        told(found, loaded[0], json)
         return 1 if strict else 0
     return 1 if strict and any(one.diagnosis.verdict != "agrees" for one in results) else 0
 
 
-def _told(found: TooLittleLeft, source: str, target: str | None) -> None:
-    """Print and write mistakes that leave too little to fit anything."""
+def told(found: TooLittleLeft, source: Source, target: str | None) -> None:
+    """Print and write mistakes that leave too little to fit anything, and what they leave."""
+    from bench.api.diagnosis import body_of
     from bench.report.diagnosis.terminal import print_mistakes
 
-    printing.write_json([found.to_dict(source)], target)
-    print_mistakes(found, source, printing.console(json=target))
+    found.copy = _written_copy(body_of([source]), found.mistakes, found.corrected)
+    printing.write_json([found.to_dict(source.name)], target)
+    print_mistakes(found, source.name, printing.console(json=target))
 
 
 def diagnosed(
@@ -144,24 +151,6 @@ def diagnosed(
                 results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
         printing.write_json([one.to_dict() for one in results], target)
         _print(results, out, alone=alone)
-    return results
-
-
-def _free(
-    loaded: list[Source], target: str | None, *, together: bool, one_sensor: bool | None
-) -> list[FreeDiagnosis]:
-    """Diagnose free positions, which have nothing but |a| = 1 g: no page is drawn and no model written."""
-    from bench.analysis.diagnosis.free_positions import diagnose_free
-    from bench.report.diagnosis.free_terminal import print_free
-
-    out = printing.console(json=target)
-    results = []
-    for body in [loaded] if together else [[source] for source in loaded]:
-        tables = [replace(source.readings, source=source.name) for source in body]
-        results.append(diagnose_free(tables, one_sensor))
-    printing.write_json([one.to_dict() for one in results], target)
-    for one in results:
-        print_free(one, out)
     return results
 
 
@@ -210,12 +199,13 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     from bench.api.diagnosis import diagnosis_of
 
     full = diagnosis_of(body.source, body.nominal)
-    full = replace(full, copy=_written_copy(body, full))
+    mistakes = full.diagnosis.mistakes
+    full = replace(full, copy=_written_copy(body, mistakes.mistakes, mistakes.corrected))
     verdict, shrinks = full.diagnosis.of_copy, full.diagnosis.gap.shrinks
     # what makes the gap no smaller is no better model, whoever accepts it
     form = full.diagnosis.form
     told = verdict == "named" or (accept_first and verdict == "confounded" and shrinks is not False)
-    if told or (form is not None and form.predicts):
+    if told or (form is not None and form.applied):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:
         try:
@@ -226,11 +216,11 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     return replace(full, report=_written_report(body, full)) if report else full
 
 
-def _written_copy(body: Body, full: FullDiagnosis) -> Path | None:
+def _written_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings) -> Path | None:
     """Write the readings with mistakes put right; None where there was none or it cannot be written."""
     from bench.base.whole import write_whole
 
-    files = body.copy_files(full)
+    files = body.copy_files(mistakes, corrected)
     try:
         for path, text in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -252,13 +242,17 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
         return None
     file = source.request.model
     given = None if file is None else load_model(file, source.model.installations).data_sha256
-    for path in _free_files(body.output("-model.yaml")):
+    for path in unused(body.output("-model.yaml")):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_model_file(
                 path,
                 after.model.name,
-                (*after.effects[: len(source.model.effects)], *full.diagnosis.applied),
+                (
+                    *after.effects[: len(source.model.effects)],
+                    *full.diagnosis.applied,
+                    *full.diagnosis.left_open,
+                ),
                 parent=source.model.name,
                 data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256_with_copy(full)))),
                 evidence=evidence_in_words(full),
@@ -276,10 +270,14 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
 def _dark(full: FullDiagnosis) -> str | None:
     """Return what stays unexplained beside the terms of what has no name, as a model file says it."""
     form = full.diagnosis.form
-    return None if form is None or form.dark == 0.0 else f"{form.dark:.3g} {form.unit}"
+    if form is None or not form.applied or not isfinite(form.dark.upper):
+        return None
+    if form.dark.there:
+        return f"{form.dark.value:.3g} {form.unit} with u {form.dark.u:.2g} {form.unit}"
+    return f"less than {form.dark.upper:.2g} {form.unit} (95 %)"
 
 
-def _free_files(path: Path) -> Iterator[Path]:
+def unused(path: Path) -> Iterator[Path]:
     """Yield names that no file has: the path, then with a number from 2 on."""
     names = (path if n == 1 else path.with_name(f"{path.stem}-{n}{path.suffix}") for n in count(1))
     return (name for name in names if not name.exists())
@@ -295,7 +293,11 @@ def _written_report(body: Body, full: FullDiagnosis) -> Path | None:
 
 
 def _not_written(body: Body, what: str, error: OSError) -> None:
+    not_written(what, error, asked=body.source.request.out is not None)
+
+
+def not_written(what: str, error: OSError, *, asked: bool) -> None:
     """Say that a file is not written; raise `error` where its place was asked for."""
-    if body.source.request.out is not None:
+    if asked:
         raise error
     printing.notes_aside([f"{what} is not written ({error.strerror}); use --out DIR"])

@@ -76,7 +76,7 @@ def _serve(
 
     Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
     """
-    from bench.api.execution import simulated_truth
+    from bench.api.simulated_truth import simulated_truth
     from bench.api.taken import bench_path
     from bench.assembly.served import served_bench
     from bench.files.bench.file import load_bench

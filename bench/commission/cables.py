@@ -10,9 +10,9 @@ from typing import Final, Protocol, runtime_checkable
 from bench.commission.evening import Evening
 from bench.commission.finding import Figure, Finding, State
 from bench.commission.meters import quick
-from bench.devices.voltmeters import VoltmeterForm
+from bench.devices.thermometers import ThermometerForm
 from bench.devices.wires import WiredForm
-from drivers.interfaces import BenchError, Instrument, ThermalChamber, Voltmeter
+from drivers.interfaces import BenchError, Instrument, PowerSupply, ThermalChamber, Voltmeter
 
 CABLE: Final = "cable pulled"
 AGAIN: Final = "cable plugged in again"
@@ -46,7 +46,9 @@ def cables(evening: Evening) -> Iterator[Cable]:
     by_adapter: dict[str, list[Instrument]] = {}
     for instrument in evening.instruments.all():
         section = evening.section(instrument.name)
-        place = section.place if isinstance(section, VoltmeterForm) else None
+        if isinstance(section, ThermometerForm) and evening.file.instruments.meter_of_thermometer is not None:
+            continue  # it hangs on the voltmeter's
+        place = section.place if isinstance(section, WiredForm) else None
         if place is not None:
             by_adapter.setdefault(place.adapter, []).append(instrument)
         elif isinstance(section, WiredForm):
@@ -110,6 +112,8 @@ def _look(evening: Evening, instrument: Instrument) -> Callable[[], object]:
         return partial(instrument.configure, quick(evening, instrument))
     if isinstance(instrument, ThermalChamber):
         return partial(instrument.temperature, "commission/cable", settling=True)
+    if isinstance(instrument, PowerSupply):
+        return partial(instrument.state, "commission/cable")
     if isinstance(instrument, _HasScale):
         return instrument.position_rad
     return instrument.open

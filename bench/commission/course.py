@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from bench.commission import chambers, heads, meters
+from bench.commission import chambers, heads, meters, platform, supplies
 from bench.commission.cables import check_cables
 from bench.commission.evening import Evening, Skipped
 from bench.commission.finding import Finding, State
@@ -31,6 +31,7 @@ class Part:
 def _limits(evening: Evening) -> None:
     heads.check_limits(evening)
     chambers.check_limits(evening)
+    supplies.check_limits(evening)
 
 
 def _identities(evening: Evening) -> None:
@@ -57,7 +58,8 @@ def _tell_twins(evening: Evening) -> None:
 PARTS: Final = (
     Part(
         "limits",
-        "What lies beyond the limits of head and chamber is demanded while no wire is open: it must be refused. "
+        "What lies beyond the limits of head, chamber and power supply is demanded while no wire is open: "
+        "it must be refused. "
         "Nothing can move.",
         _limits,
     ),
@@ -79,6 +81,24 @@ PARTS: Final = (
         "The chamber is read and put into standby.",
         chambers.check_standby,
         applies=lambda evening: evening.instruments.chamber is not None,
+    ),
+    Part(
+        "power supply",
+        "Its outputs are read. Nothing is set or switched.",
+        supplies.check_outputs,
+        applies=lambda evening: evening.instruments.power_supply is not None,
+    ),
+    Part(
+        "level",
+        "The head is set to 0°, the level read on the platform in two positions half a turn apart.",
+        platform.check_level,
+        applies=lambda evening: evening.instruments.level is not None,
+    ),
+    Part(
+        "thermometer",
+        "The thermometer at the block is read.",
+        platform.check_thermometer,
+        applies=lambda evening: evening.instruments.thermometer is not None,
     ),
     Part(
         "cables",

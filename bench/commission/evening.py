@@ -8,11 +8,9 @@ from typing import Final
 
 from bench.commission.finding import Figure, Finding, State
 from bench.commission.wire import WireWatch
-from bench.devices.chambers import ChamberForm
-from bench.devices.heads import HeadForm
-from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
 from bench.files.bench.file import BenchFile
+from bench.files.bench.instruments import InstrumentForm
 from bench.run.control import OperatorWish
 from bench.run.prompts import confirm
 from bench.run.states import Wish
@@ -108,7 +106,7 @@ class Evening:
 
     # --- what the bench file says -------------------------------------------------------------------
 
-    def section(self, name: str) -> VoltmeterForm | HeadForm | ChamberForm:
+    def section(self, name: str) -> InstrumentForm:
         """Return the section of an instrument."""
         return next(section for section in self.file.instruments.all() if section.name == name)
 

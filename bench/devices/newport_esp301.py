@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, field_validator
 
 from bench.devices.device import Device
 from bench.devices.heads import HeadTruth, MotorisedHeadForm
-from bench.devices.wires import IdentityPattern, PortSection, as_stated, meter_resource, usual_baud_rate
+from bench.devices.wires import IdentityPattern, PortSection, any_resource, as_stated, usual_baud_rate
 from drivers.newport_esp301 import facts as newport
 
 _BEYOND_DEG: Final = 5.0
@@ -22,7 +22,7 @@ def _on_a_wire_it_has(resource: str) -> str:
             "expected a VISA resource such as 'ASRL/dev/ttyUSB0::INSTR', 'GPIB0::1::INSTR' or, behind a serial "
             f"gateway, 'TCPIP0::192.0.2.41::4001::SOCKET', got '{resource}'"
         )
-    return meter_resource(resource)
+    return any_resource(resource)
 
 
 class NewportPort(PortSection):

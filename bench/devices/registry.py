@@ -27,6 +27,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 
 from bench.devices import FOLDERS
 from bench.devices.device import Device, DeviceSection, Role
+from bench.devices.supplies import SUPPLY_FACTS, SupplyForm
 from bench.devices.unknown import OF_ROLE
 from bench.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm
 from bench.devices.wires import WIRE_FACTS, WiredForm
@@ -173,12 +174,14 @@ def _wrong_declaration(device: Device) -> str | None:
         or not issubclass(section, DeviceSection)
         or not hasattr(section, "role")
     ):
-        return f"the section of '{device.name}' is none of a voltmeter, a head or a chamber"
+        return f"the section of '{device.name}' has no role that a bench knows"
     stated = get_args(section.model_fields["driver"].annotation)
     if stated != (device.name,):
         return f"the section of '{device.name}' does not have driver: Literal['{device.name}']"
     if issubclass(section, WiredForm):
-        needed = WIRE_FACTS + (VOLTMETER_FACTS if issubclass(section, VoltmeterForm) else ())
+        of_role = [VOLTMETER_FACTS] if issubclass(section, VoltmeterForm) else []
+        of_role += [SUPPLY_FACTS] if issubclass(section, SupplyForm) else []
+        needed = sum(of_role, WIRE_FACTS)
         lacking = [name for name in needed if not hasattr(getattr(section, "facts", None), name)]
         if lacking:
             return f"the facts of '{device.name}' lack {', '.join(lacking)}"

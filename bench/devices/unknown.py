@@ -11,8 +11,11 @@ from bench.devices.certificates import VoltmeterCertificate
 from bench.devices.chambers import ChamberForm, SizeK
 from bench.devices.device import DeviceSection, Role
 from bench.devices.heads import HeadForm
+from bench.devices.levels import LevelForm
+from bench.devices.supplies import SupplyForm
+from bench.devices.thermometers import ThermometerForm
 from bench.devices.voltmeters import VoltmeterForm, VoltmeterKind
-from drivers.interfaces import BenchError, Channel
+from drivers.interfaces import BenchError, Channel, SupplyLimits
 
 KEPT: Final = ConfigDict(extra="allow")
 
@@ -69,10 +72,41 @@ class UnknownChamber(ChamberForm):
     band: SizeK | None = None
 
 
+class UnknownLevel(LevelForm):
+    """A level of which nothing is known."""
+
+    model_config = KEPT
+
+
+class UnknownThermometer(ThermometerForm):
+    """A thermometer of which its certificate is known, if it has one."""
+
+    model_config = KEPT
+
+    @property
+    def tolerance_k(self) -> float:
+        """Nobody here knows; as of a plain one."""
+        return 0.5
+
+
+class UnknownSupply(SupplyForm):
+    """A power supply of which nothing is known."""
+
+    model_config = KEPT
+
+    @property
+    def limits(self) -> SupplyLimits | None:
+        """Return None: what it can do, nobody here knows."""
+        return None
+
+
 OF_ROLE: Final[dict[Role, type[DeviceSection]]] = {
     "voltmeter": UnknownVoltmeter,
     "head": UnknownHead,
     "chamber": UnknownChamber,
+    "level": UnknownLevel,
+    "thermometer": UnknownThermometer,
+    "power_supply": UnknownSupply,
 }
 
 

@@ -13,7 +13,7 @@ from bench.base.forms import FileModel
 from bench.base.units import DurationS, VoltageV
 from bench.devices.certificates import VoltmeterCertificate, of_known_ranges
 from bench.devices.device import Role
-from bench.devices.wires import BusPlace, WiredForm, bus_place, meter_resource, usual_baud_rate
+from bench.devices.wires import WiredForm, any_resource, usual_baud_rate
 from drivers.interfaces import Channel, VoltmeterLimits
 
 VOLTMETER_FACTS: Final = (
@@ -106,7 +106,7 @@ class VoltmeterForm(WiredForm):
     role: ClassVar[Role] = "voltmeter"
 
     stated_name: str | None = Field(None, alias="name")
-    resource: Annotated[str, AfterValidator(meter_resource)]
+    resource: Annotated[str, AfterValidator(any_resource)]
     timeout: DurationS = 5.0
     range: VoltageV = 10.0
     interface: Literal["lan", "gpib", "rs232"] = "lan"
@@ -122,11 +122,6 @@ class VoltmeterForm(WiredForm):
     def name(self) -> str:
         """Name of the instrument: as stated, else "voltmeter.x"."""
         return self.stated_name or f"voltmeter.{''.join(self.channels)}"
-
-    @property
-    def place(self) -> BusPlace | None:
-        """Where it is behind a GPIB adapter, None without one."""
-        return bus_place(self.resource)
 
     @property
     def kind(self) -> VoltmeterKind:

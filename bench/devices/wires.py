@@ -43,7 +43,7 @@ def is_serial(resource: str) -> bool:
     return resource.startswith("ASRL")
 
 
-def meter_resource(resource: str) -> str:
+def any_resource(resource: str) -> str:
     """Return it when it is a VISA resource or one behind an adapter. Raises `ValueError` for another."""
     if _VISA.fullmatch(resource) is None and bus_place(resource) is None:
         raise ValueError(
@@ -72,6 +72,8 @@ class Port:
     read_termination: str
     write_termination: str
     serial: Mapping[str, Any] | None = None
+    read_tail: int = 0
+    """How many bytes follow the termination of a reply."""
 
 
 WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
@@ -86,6 +88,11 @@ class WiredForm(DeviceSection):
     resource: str
     timeout: DurationS = 3.0
 
+    @property
+    def place(self) -> BusPlace | None:
+        """Where it is behind a GPIB adapter, None without one."""
+        return bus_place(self.resource)
+
     @field_validator("timeout")
     @classmethod
     def _positive(cls, timeout_s: float) -> float:
@@ -97,7 +104,8 @@ class WiredForm(DeviceSection):
         """Return how its wire is set up: as its facts have it, a serial port as the section says."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
-        return Port(self.facts.READ_TERMINATION, self.facts.WRITE_TERMINATION, serial)
+        tail = getattr(self.facts, "READ_TAIL", 0)
+        return Port(self.facts.READ_TERMINATION, self.facts.WRITE_TERMINATION, serial, tail)
 
 
 class PortSection(FileModel):

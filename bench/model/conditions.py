@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.model.geometry import within_half_turn
 
 REFERENCE_C: Final = 20.0
 """The temperature from which effects count, unless `Conditions` states another, °C."""
@@ -31,6 +32,36 @@ class Mounting(NamedTuple):
         return self.installation if self.series == 1 else f"{self.installation}/{self.series}"
 
 
+class HeadTurns:
+    """How far the head was turned up to each reading, rad, by the shortest way from angle to angle.
+
+    A reading without an angle keeps what the one before it had, and is no remount.
+    """
+
+    def __init__(self, conditions: Conditions) -> None:
+        n = len(conditions)
+        steps, begins = np.zeros(n), np.zeros(n, dtype=bool)
+        rows = np.flatnonzero(np.isfinite(conditions.angle_rad))
+        angle, mount = conditions.angle_rad[rows], conditions.mount[rows]
+        steps[rows[1:]] = within_half_turn(np.diff(angle))
+        begins[rows[:1]] = True
+        begins[rows[1:]] = mount[1:] != mount[:-1]
+        self._first = np.maximum.accumulate(np.where(begins, np.arange(n), 0)) if n else np.zeros(0, np.int64)
+        self.wound: Floats = np.cumsum(steps)
+        self._to_and_fro: Floats = np.cumsum(np.abs(steps))
+        self.visit: Floats = np.cumsum(begins).astype(np.float64)
+
+    @property
+    def turned(self) -> Floats:
+        """Since the block was mounted, with sign."""
+        return np.asarray(self.wound - self.wound[self._first])
+
+    @property
+    def travelled(self) -> Floats:
+        """Since the block was mounted, to and fro."""
+        return np.asarray(self._to_and_fro - self._to_and_fro[self._first])
+
+
 @dataclass(frozen=True)
 class Conditions:
     """Arrays over n readings, in the order of measurement: effects look back along the rows.
@@ -41,7 +72,11 @@ class Conditions:
     which they were read. Effects count temperature from `reference_c`. `turns` (mounts, 3, 3) are the
     installations' `block_from_platform`, filled in by the forward model for effects that follow the path of
     the head, NaN for an installation that it does not know. Where several runs stand in one table, `began_s`
-    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each.
+    (n,) is when each row's run began on the clock of `time_s`: warming up begins anew in each. Of the supply,
+    `on_s` (n,) is for how long the unit has been switched on, NaN where that is not known, and `supply_v`
+    (n, rails) the voltage of each rail less its nominal one, NaN likewise; None where nothing is known of it.
+    `level_rad` (n, 4) is what a level showed in the mounting of the row: alpha1, alpha2 and their standard
+    uncertainties, NaN for nothing.
     """
 
     mounts: tuple[Mounting, ...]
@@ -56,6 +91,9 @@ class Conditions:
     reference_c: float = REFERENCE_C
     turns: Floats | None = None
     began_s: Floats | None = None
+    on_s: Floats | None = None
+    level_rad: Floats | None = None
+    supply_v: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -64,6 +102,16 @@ class Conditions:
     def remounted(self) -> Mask:
         """Where the block has another mounting than in the row before, shape (n,); true in the first row."""
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
+
+    @cached_property
+    def memory(self) -> dict[Any, Any]:
+        """What was worked out of these conditions alone, for who needs it again and again."""
+        return {}
+
+    @cached_property
+    def head_turns(self) -> HeadTurns:
+        """How far the head was turned up to each reading."""
+        return HeadTurns(self)
 
     @cached_property
     def elapsed_s(self) -> Floats:
@@ -86,21 +134,52 @@ class Conditions:
         return np.where(known, self.time_s, pace + late)
 
     @cached_property
+    def switched_on_s(self) -> Floats:
+        """The time since the unit was switched on, where not known since the start of the run, s, shape (n,)."""
+        if self.on_s is None:
+            return self.elapsed_s
+        return np.where(np.isfinite(self.on_s), self.on_s, self.elapsed_s)
+
+    @cached_property
     def warmth_k(self) -> Floats:
         """Temperature less `reference_c`, K, shape (n,): zero where none is known.
 
         Where some rows have a temperature, the others take it from their neighbours in time.
         """
-        known = np.isfinite(self.temperature_c)
+        return self._between_known(self.temperature_c - self.reference_c)
+
+    @cached_property
+    def above_nominal_v(self) -> Floats:
+        """The voltage of each rail less its nominal one, V, shape (n, rails): zero where none is known.
+
+        Where some rows have one, the others take it from their neighbours in time.
+        """
+        if self.supply_v is None:
+            return np.zeros((len(self), 0))
+        return np.stack([self._between_known(rail) for rail in self.supply_v.T], axis=1)
+
+    def _between_known(self, values: Floats) -> Floats:
+        """Return a column (n,) with what is NaN in it taken from its neighbours in time; zero if all is."""
+        known = np.isfinite(values)
+        if known.all():
+            return values
         if not known.any():
             return np.zeros(len(self))
-        warmth = self.temperature_c - self.reference_c
-        if known.all():
-            return warmth
         clock_s = self.elapsed_s if self.began_s is None else self.time_s
         order = np.argsort(clock_s[known], kind="stable")
-        between = np.interp(clock_s, clock_s[known][order], warmth[known][order])
-        return np.where(known, warmth, between)
+        between = np.interp(clock_s, clock_s[known][order], values[known][order])
+        return np.where(known, values, between)
+
+    def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
+        """Return what a level showed: by mounting and column of the stand angles the angle and its u, rad."""
+        if self.level_rad is None:
+            return {}
+        found: dict[tuple[int, int], tuple[float, float]] = {}
+        for mount in range(len(self.mounts)):
+            rows = self.level_rad[(self.mount == mount) & np.isfinite(self.level_rad).all(axis=1)]
+            for column in (0, 1) if len(rows) else ():
+                found[mount, column] = float(rows[0, column]), float(rows[0, 2 + column])
+        return found
 
     def select(self, rows: Mask) -> Conditions:
         """Return the rows where the mask (n,) is true, with the mountings that they are of."""
@@ -137,6 +216,9 @@ class Conditions:
         scan_order: Sequence[Sequence[int]] | Ints | None = None,
         reference_c: float = REFERENCE_C,
         began_s: Floats | None = None,
+        on_s: Floats | None = None,
+        level_rad: Floats | None = None,
+        supply_v: Floats | None = None,
     ) -> Conditions:
         """Build from columns of equal length; those left out are series 1, pass 1, point 1…n, not known.
 
@@ -159,4 +241,7 @@ class Conditions:
             scan_order=np.asarray(order, dtype=np.int64).reshape(n, 3),
             reference_c=reference_c,
             began_s=began_s,
+            on_s=on_s,
+            level_rad=level_rad,
+            supply_v=supply_v,
         )

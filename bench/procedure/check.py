@@ -8,10 +8,22 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import HOUR, Floats
-from bench.base.words import APPROACH
+from bench.base.words import APPROACH, duration
 from bench.files.bench.file import BenchFile
 from bench.model.block import COEFFICIENTS, hidden_axes
-from bench.procedure.plan import Ask, Mount, Plan, Read, SelectInput, SetTemperature, Settle, Turn
+from bench.procedure.plan import (
+    SWITCHED_ON,
+    Ask,
+    Level,
+    Mount,
+    Plan,
+    Power,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Turn,
+)
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.table import UNORIENTED, VERIFICATION
 
@@ -35,7 +47,8 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
-            *_settling_problems(plan, bench), *_time_problems(plan),
+            *_settling_problems(plan, bench), *_level_problems(plan, bench), *_time_problems(plan),
+            *_power_problems(plan, bench),
             *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
 
 
@@ -71,6 +84,24 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
             yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
         elif count < bench.least_samples:
             yield f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter takes"
+
+
+def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """Levelling takes a level, and a head that may stand at 0°."""
+    first = next((step for step in plan.steps if isinstance(step, Level)), None)
+    if first is None:
+        return
+    if bench.instruments.level is None:
+        yield (
+            f"step {first.key}: the platform is to be levelled, but the bench file has no level; state one under "
+            "instruments, or leave 'level' out in a copy of the procedure"
+        )
+    low_rad, high_rad = bench.head_limits_rad or (-bench.head_backoff_rad, 0.0)
+    if low_rad > -bench.head_backoff_rad + ROUNDING_RAD or high_rad < -ROUNDING_RAD:
+        yield (
+            f"step {first.key}: the level is read with the head at 0°, come to with rising angle, but the head may "
+            f"go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°"
+        )
 
 
 def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -151,6 +182,41 @@ def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
         )
 
 
+def switched_before(plan: Plan, bench: BenchFile) -> str | None:
+    """Return what a run does with the block's supply before the first step; None where it does nothing."""
+    supply = bench.unit_under_test.supply
+    if supply is None or not plan.begins_on():
+        return None
+    warm = (
+        duration(supply.warm_up)
+        if isinstance(supply.warm_up, float)
+        else f"until settled, {duration(supply.warm_up_s)} to {duration(supply.longest_warm_up_s)}"
+    )
+    return f"{SWITCHED_ON.describe()} ({warm})"
+
+
+def _power_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A block that is switched has a supply, and no signal is read of one that is off."""
+    first = next((step for step in plan.steps if isinstance(step, Power)), None)
+    if first is not None and bench.unit_under_test.supply is None:
+        yield (
+            f"step {first.key}: the block is switched, but the bench file does not say how it is supplied; state "
+            "'supply' under unit_under_test, and its power_supply under instruments"
+        )
+    on, off_key, input_source = plan.begins_on(), "", "signal"
+    for step in plan.steps:
+        if isinstance(step, Power):
+            on, off_key = step.switch != "off", step.key
+        elif isinstance(step, SelectInput):
+            input_source = step.source
+        elif isinstance(step, Read | Settle) and not on and input_source == "signal":
+            if isinstance(step, Settle) and step.what != "signals":
+                continue
+            since = f"step {off_key} has switched it off" if off_key else "nothing has switched it on"
+            yield f"step {step.key}: the block is off here, {since}; switch it on before with 'power: on'"
+            return
+
+
 def prompts_without_default(plan: Plan) -> Iterator[str]:
     """Yield a sentence for each prompt that a dry run cannot answer."""
     for step in plan.steps:
@@ -169,17 +235,23 @@ def operator_actions(plan: Plan, bench: BenchFile) -> int:
     chamber = bench.instruments.chamber
     turned = bench.instruments.head.by_hand
     heated = chamber is not None and chamber.by_hand
+    thermometer = bench.instruments.thermometer
+    told = heated if thermometer is None else thermometer.by_hand
+    level = bench.instruments.level
+    by_bubble = level is not None and level.by_hand
     actions = 0
     for step in plan.steps:
         match step:
             case Mount():
-                actions += 2 if heated else 1
+                actions += 2 if told else 1
             case Turn():
                 actions += turned
             case SetTemperature():
                 actions += heated
             case SelectInput() | Ask():
                 actions += 1
+            case Level():
+                actions += step.settings * (turned + (4 if by_bubble else 2)) + (step.within_rad is not None)
     return actions
 
 

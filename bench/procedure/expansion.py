@@ -14,6 +14,8 @@ from bench.procedure.file import (
     IncludedFile,
     InputVerb,
     InstallationVerb,
+    LevelVerb,
+    PowerVerb,
     PromptVerb,
     ReadVerb,
     RepeatVerb,
@@ -25,8 +27,10 @@ from bench.procedure.file import (
 from bench.procedure.plan import (
     SETTLING,
     Ask,
+    Level,
     Mount,
     OnFailure,
+    Power,
     Read,
     SelectInput,
     SetTemperature,
@@ -114,6 +118,8 @@ class Expansion:
         self._input_points: Counter[tuple[str, int, int]] = Counter()
         self._noted: set[tuple[Path, Place]] = set()
         self._paths: dict[tuple[int, str], Path] = {}
+        self._since_power: dict[tuple[str, int], int | None] = {}
+        self._levelled: tuple[str, int] | None = None
 
     def run(self, root: Path) -> tuple[Step, ...]:
         """Return the steps of the procedure in the file `root`."""
@@ -139,7 +145,7 @@ class Expansion:
 
     def _all(self, entries: Sequence[StepEntry], place: Place, context: _Context) -> None:
         for index, entry in enumerate(entries):
-            self._one(entry, (*place, index), context)
+            self._one(entry, (*place, index), self._since_switched(context))
 
     def _one(self, entry: StepEntry, place: Place, context: _Context) -> None:
         if entry.installation is not None:
@@ -152,7 +158,20 @@ class Expansion:
             self._reading(entry.read, (*place, "read"), context)
         elif entry.input is not None:
             self._input(entry.input, (*place, "input"), context)
-        elif entry.wait is not None:
+        elif entry.temperatures is not None:
+            self._temperatures(entry.temperatures, (*place, "temperatures"), context)
+        elif entry.level is not None:
+            self._level(entry.level, place, context)
+        elif entry.include is not None:
+            path = self._path_of(context.document, entry.include)
+            inside = context.inside(self._documents[path], self._files[path])
+            self._all(self._files[path].steps, ("steps",), inside)
+        else:
+            self._alone(entry, context)
+
+    def _alone(self, entry: StepEntry, context: _Context) -> None:
+        """Take a verb that is of the whole bench and holds no steps."""
+        if entry.wait is not None:
             self._wait(entry.wait.duration, entry.wait.reason)
         elif entry.settle is not None:
             self._settle(entry.settle)
@@ -160,12 +179,8 @@ class Expansion:
             self._prompt(entry.prompt)
         elif entry.temperature is not None:
             self._temperature(entry.temperature, entry.temperature.at)
-        elif entry.temperatures is not None:
-            self._temperatures(entry.temperatures, (*place, "temperatures"), context)
-        elif entry.include is not None:
-            path = self._path_of(context.document, entry.include)
-            inside = context.inside(self._documents[path], self._files[path])
-            self._all(self._files[path].steps, ("steps",), inside)
+        elif entry.power is not None:
+            self._power(entry.power, context)
 
     def _path_of(self, document: Document, name: str) -> Path:
         """Return the path by which an included file is known; the system is asked for it once."""
@@ -181,8 +196,25 @@ class Expansion:
             self._once(context, (*place, "series"), text)
         self._mounted.add((verb.label, series))
         inside = replace(context, installation=verb.label, series=series)
+        if verb.level is not None:
+            key = self._key("level", inside.mount)
+            self._levelled = (verb.label, series)
+            self._steps.append(Level(key, *self._levelled, verb.level.settings, verb.level.within))
         self._steps.append(Mount(self._key("mount", inside.mount), verb.label, series))
         self._all(verb.steps, (*place, "steps"), inside)
+
+    def _level(self, verb: LevelVerb, place: Place, context: _Context) -> None:
+        """Read the level as the platform stands: what it was levelled for last has it at its end."""
+        if self._levelled is None:
+            text = (
+                "the platform was not levelled before: give an installation before it 'level: {}', so that this "
+                "shows how it has moved since"
+            )
+            self._once(context, (*place, "level"), text)
+            return
+        label, series = self._levelled
+        mount = label if series == 1 else f"{label}s{series}"
+        self._steps.append(Level(self._key("level", mount), label, series, verb.settings))
 
     def _next_series(self, label: str) -> int:
         return max((series for known, series in self._mounted if known == label), default=0) + 1
@@ -201,7 +233,9 @@ class Expansion:
         direction = _DIRECTIONS[verb.direction] if verb.direction else context.direction
         points = list(enumerate(verb.angles_rad, start=verb.first_point))
         for point, target_rad in points if direction > 0 else reversed(points):
-            here = replace(context, direction=direction, point=point, target_rad=target_rad)
+            here = replace(
+                self._since_switched(context), direction=direction, point=point, target_rad=target_rad
+            )
             key = self._key("turn", here.place_key)
             self._steps.append(Turn(key, *here.place, target_rad, direction, here.failure()))
             self._all_or_reading(verb.steps, place, here)
@@ -273,6 +307,25 @@ class Expansion:
     def _prompt(self, verb: PromptVerb) -> None:
         self._steps.append(Ask(self._key("ask"), **dict(verb)))
 
+    def _power(self, verb: PowerVerb, context: _Context) -> None:
+        """Switch the block; what is measured once it is on again, on the same mounting, is a series of its own."""
+        key = self._key("power")
+        self._steps.append(Power(key, verb.switch, verb.off_for or 0.0, verb.warm_up))
+        mounted = (context.installation, context.series)
+        if verb.switch != "off" and mounted in self._measured:
+            self._since_power[mounted] = None
+
+    def _since_switched(self, context: _Context) -> _Context:
+        """Return a context with the series that its mounting has since the block was switched on last."""
+        series = context.series
+        while (mounted := (context.installation, series)) in self._since_power:
+            following = self._since_power[mounted]
+            if following is None:  # the first step since
+                following = self._since_power[mounted] = self._next_series(context.installation)
+                self._mounted.add((context.installation, following))
+            series = following
+        return context if series == context.series else replace(context, series=series)
+
     def _temperature(self, verb: TemperatureVerb | TemperaturesVerb, at_c: float) -> None:
         self._steps.append(SetTemperature(self._key("temperature"), at_c))
         if verb.settle is not None:
@@ -285,6 +338,7 @@ class Expansion:
         inside = context
         for at_c in verb.at:
             self._temperature(verb, at_c)
+            inside = self._since_switched(inside)
             if (inside.installation, inside.series) in self._measured:
                 inside = replace(inside, series=self._next_series(inside.installation))
                 self._mounted.add((inside.installation, inside.series))

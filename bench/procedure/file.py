@@ -21,8 +21,9 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
+from bench.base.arrays import ARCSEC
 from bench.base.forms import FileModel
-from bench.base.units import AngleRad, SpanS, TemperatureC, VoltageV
+from bench.base.units import AngleRad, SizeRad, SpanS, TemperatureC, VoltageV
 from bench.procedure.sections import (
     FailureSection,
     OperatorTimeSection,
@@ -31,6 +32,7 @@ from bench.procedure.sections import (
     SettleVerb,
     TemperatureSettle,
 )
+from bench.procedure.steps import Switching
 from bench.readings.table import UNORIENTED, scan_order
 from drivers.interfaces import PromptKind
 
@@ -38,7 +40,7 @@ Steps = Annotated[tuple["StepEntry", ...], Field(min_length=1)]
 DirectionWord = Literal["rising", "falling"]
 
 VERBS: Final = ("installation", "repeat", "turn", "read", "input", "wait", "settle", "prompt", "temperature",
-                "temperatures", "include")  # fmt: skip
+                "temperatures", "level", "power", "include")  # fmt: skip
 _TURN_RAD: Final = math.tau + 1e-9
 
 
@@ -57,11 +59,37 @@ ScanWord = Annotated[str, AfterValidator(_an_order)]
 Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 
 
+class LevelVerb(FileModel):
+    """Read the level on the platform, the head at 0°, in two positions half a turn apart.
+
+    The head is set to 0° anew for each of `settings`: how exactly it is set is most of what α2 is known to.
+    """
+
+    settings: Annotated[int, Field(ge=1, le=100)] = 1
+
+
+class LevelSection(LevelVerb):
+    """Level the platform before the block is mounted, measure what is left; beyond `within` it is done again."""
+
+    within: SizeRad = 10.0 * ARCSEC
+
+    @field_validator("within")
+    @classmethod
+    def _has_width(cls, within_rad: float) -> float:
+        if within_rad == 0.0:
+            raise ValueError("expected more than nothing: no platform is exactly level")
+        return within_rad
+
+
 class InstallationVerb(FileModel):
-    """Mount the block; `series` numbers the visits to an installation, by itself where it is left out."""
+    """Mount the block; `series` numbers the visits to an installation, by itself where it is left out.
+
+    With `level` the platform is levelled before.
+    """
 
     label: str
     series: Positive | None = None
+    level: LevelSection | None = None
     steps: Steps
 
     @field_validator("label")
@@ -249,6 +277,31 @@ class TemperaturesVerb(FileModel):
     steps: Steps
 
 
+class PowerVerb(FileModel):
+    """Switch the block on or off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
+
+    In a cycle it is off for `off_for` at least, and never for less than the bench file says. Once it is on it warms
+    up as the bench file says, or for `warm_up`.
+    """
+
+    switch: Switching
+    off_for: SpanS | None = None
+    warm_up: SpanS | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_word(cls, written: Any) -> Any:
+        return {"switch": written} if isinstance(written, str) else written
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> PowerVerb:
+        if self.off_for is not None and self.switch != "cycle":
+            raise ValueError("only a cycle has 'off_for': how long the block is off in it")
+        if self.warm_up is not None and self.switch == "off":
+            raise ValueError("a block that is switched off does not warm up; leave 'warm_up' out")
+        return self
+
+
 class StepEntry(FileModel):
     """One step: exactly one of the verbs."""
 
@@ -262,15 +315,16 @@ class StepEntry(FileModel):
     prompt: PromptVerb | None = None
     temperature: TemperatureVerb | None = None
     temperatures: TemperaturesVerb | None = None
+    power: PowerVerb | None = None
+    level: LevelVerb | None = None
     include: str | None = None
 
     @model_validator(mode="before")
     @classmethod
-    def _bare_read(cls, written: Any) -> Any:
-        """`- read:` with nothing after it is a reading as the section `reading` says."""
-        if isinstance(written, dict) and "read" in written and written["read"] is None:
-            return {**written, "read": {}}
-        return written
+    def _bare(cls, written: Any) -> Any:
+        """`- read:` with nothing after it is a reading as the section `reading` says; `- level:` one setting."""
+        bare = [verb for verb in ("read", "level") if isinstance(written, dict) and verb in written]
+        return {**written, bare[0]: {}} if bare and written[bare[0]] is None else written
 
     @model_validator(mode="after")
     def _one_verb(self) -> StepEntry:

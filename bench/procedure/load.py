@@ -209,16 +209,20 @@ class _Scope:
                 text = f"a {verb} stands outside of an installation: nobody knows how the block is mounted"
             case "read" if "turn" not in self.within:
                 text = "a read stands outside of a turn: put it into the turn's steps"
-            case "turn" | "repeat" | "temperatures" if "turn" in self.within:
+            case "turn" | "repeat" | "temperatures" | "level" if "turn" in self.within:
                 text = f"{_a(verb)} stands inside the steps of a turn; put it around the turn"
         return text
 
 
-_NOT_IN_AN_INPUT: Final = frozenset({"turn", "installation", "input", "temperature", "temperatures"})
+_NOT_IN_AN_INPUT: Final = frozenset(
+    {"turn", "installation", "input", "temperature", "temperatures", "level", "power"}
+)
 
 
 def _a(verb: str) -> str:
     """Return what a verb stands for, with its article."""
+    if verb == "power":
+        return "a switching of the block"
     return "a list of temperatures" if verb == "temperatures" else f"a{'n' * (verb[0] in 'ai')} {verb}"
 
 

@@ -10,12 +10,15 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Final
 
+from bench.files.bench.rails import UnitSupplySection
 from bench.procedure.steps import (
     SETTLING,
     Ask,
     InputSource,
+    Level,
     Mount,
     OnFailure,
+    Power,
     Read,
     SelectInput,
     SetTemperature,
@@ -28,20 +31,20 @@ from bench.procedure.steps import (
 )
 from drivers.interfaces import PromptKind
 
-__all__ = ["SETTLING", "Ask", "InputSource", "Mount", "OnFailure", "OperatorTime", "Plan", "Read",
+__all__ = ["SETTLING", "Ask", "InputSource", "Level", "Mount", "OnFailure", "OperatorTime", "Plan", "Power", "Read",
            "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait"]  # fmt: skip
 
 _SAMPLE_OVERHEAD_S: Final = 0.01
 
 _STEPS: Final[Mapping[str, type[Step]]] = {
     "mount": Mount, "turn": Turn, "wait": Wait, "settle": Settle, "read": Read, "input": SelectInput,
-    "ask": Ask, "temperature": SetTemperature,
+    "ask": Ask, "temperature": SetTemperature, "level": Level, "power": Power,
 }  # fmt: skip
 """Every kind of step by the name it has in counts and in JSON, in the order in which they are told."""
 
 _NAMES: Final = {step: name for name, step in _STEPS.items()}
 _FIELDS: Final = {step: tuple(f.name for f in fields(step)) for step in _NAMES}
-_BY_OPERATOR: Final = (Mount, Turn, SelectInput, Ask, SetTemperature)
+_BY_OPERATOR: Final = (Mount, Turn, SelectInput, Ask, SetTemperature, Level)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +94,17 @@ class Plan:
         """Return how often the operator has something to do on a bench without motors."""
         return sum(isinstance(step, _BY_OPERATOR) for step in self.steps)
 
-    def step_duration_s(self, step: Step, line_hz: float = 50.0) -> float:
+    def begins_on(self) -> bool:
+        """Whether the block is to be on before the first step: unless it is switched before the first reading."""
+        kinds = (type(step) for step in self.steps if isinstance(step, Read | Power))
+        return next(kinds, Read) is Read
+
+    def step_duration_s(
+        self, step: Step, line_hz: float = 50.0, supply: UnitSupplySection | None = None
+    ) -> float:
         """Return the expected time of a step, s; of settling, the shortest that it can take.
 
-        Autozero makes a sample two integrations long.
+        Autozero makes a sample two integrations long. `supply` is that of the block, which is switched.
         """
         match step:
             case Mount():
@@ -111,37 +121,57 @@ class Plan:
                 seconds = self.operator_time.input_s
             case Ask() | SetTemperature():
                 seconds = self.operator_time.answer_s
+            case Power():
+                seconds = power_duration_s(step, supply)
+            case Level():
+                seconds = step.settings * (self.operator_time.turn_s + 4.0 * self.operator_time.answer_s)
+                seconds += self.operator_time.mount_s * (step.within_rad is not None)
         return seconds
 
-    def duration_by_kind_s(self, line_hz: float = 50.0) -> dict[str, float]:
-        """Return the expected time of all steps of each kind that occurs, s, in the order of `counts`."""
+    def duration_by_kind_s(
+        self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
+    ) -> dict[str, float]:
+        """Return the expected time of all steps of each kind that occurs, s, in the order of `counts`.
+
+        Where the block is switched on before the first step, that is of the kind "power", too.
+        """
         total = dict.fromkeys(self.counts(), 0.0)
         for step in self.steps:
-            total[_NAMES[type(step)]] += self.step_duration_s(step, line_hz)
+            total[_NAMES[type(step)]] += self.step_duration_s(step, line_hz, supply)
+        if supply is not None and self.begins_on():
+            total["power"] = total.get("power", 0.0) + power_duration_s(SWITCHED_ON, supply)
         return total
 
-    def duration_by_mount_s(self, line_hz: float = 50.0) -> dict[str, float]:
+    def duration_by_mount_s(
+        self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
+    ) -> dict[str, float]:
         """Return the expected time of each visit to an installation, s, as it is told: "1", "1 (series 2)".
 
         What comes before the first mounting stands under the empty text.
         """
         total: dict[str, float] = {}
+        if supply is not None and self.begins_on():
+            total[""] = power_duration_s(SWITCHED_ON, supply)
         mounted = ""
         for step in self.steps:
             if isinstance(step, Mount):
                 mounted = mount_in_words(step.installation, step.series)
-            total[mounted] = total.get(mounted, 0.0) + self.step_duration_s(step, line_hz)
+            total[mounted] = total.get(mounted, 0.0) + self.step_duration_s(step, line_hz, supply)
         return total
 
-    def expected_duration_s(self, line_hz: float = 50.0) -> float:
+    def expected_duration_s(self, line_hz: float = 50.0, supply: UnitSupplySection | None = None) -> float:
         """Return the expected time of the whole plan, s."""
-        return sum(self.duration_by_kind_s(line_hz).values())
+        return sum(self.duration_by_kind_s(line_hz, supply).values())
 
-    def longest_duration_s(self, line_hz: float = 50.0) -> float:
+    def longest_duration_s(self, line_hz: float = 50.0, supply: UnitSupplySection | None = None) -> float:
         """Return the time of the whole plan when every settling takes all the time that it may, s."""
         settling = [step for step in self.steps if isinstance(step, Settle)]
-        longer = (step.timeout_s - self.step_duration_s(step, line_hz) for step in settling)
-        return self.expected_duration_s(line_hz) + sum(longer)
+        longer = sum(step.timeout_s - self.step_duration_s(step, line_hz) for step in settling)
+        if supply is not None:
+            warm_ups = [step for step in self.steps if isinstance(step, Power) and _warms_up(step)]
+            times = len(warm_ups) + self.begins_on()
+            longer += times * (supply.longest_warm_up_s - supply.warm_up_s)
+        return self.expected_duration_s(line_hz, supply) + longer
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON values."""
@@ -164,6 +194,30 @@ class Plan:
             str(data["procedure_sha256"]),
             OperatorTime(**data["operator_time"]),
         )
+
+
+SWITCHED_ON: Final = Power("start/power", "on")
+"""What a run does before its first step, where the block has a supply and the plan `begins_on`."""
+
+
+def power_duration_s(step: Power, supply: UnitSupplySection | None) -> float:
+    """Return how long switching takes, s, with the time off and the shortest warm-up, as far as both are stated."""
+    least_off_s, switching_s, warm_up_s = (
+        (0.0, 0.0, 0.0) if supply is None else (supply.least_off, supply.switching_s, supply.warm_up_s)
+    )
+    warm_up_s = warm_up_s if step.warm_up_s is None else step.warm_up_s
+    match step.switch:
+        case "on":
+            return least_off_s + switching_s + warm_up_s
+        case "off":
+            return switching_s
+        case "cycle":
+            return max(step.off_s, least_off_s) + 2.0 * switching_s + warm_up_s
+
+
+def _warms_up(step: Power) -> bool:
+    """Whether a step has the warm-up that the bench file states."""
+    return step.switch != "off" and step.warm_up_s is None
 
 
 def _step_to_json(step: Step) -> dict[str, Any]:

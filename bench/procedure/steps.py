@@ -12,12 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol, TypeVar
 
+from bench.base.arrays import ARCSEC
 from bench.base.words import APPROACH, degrees, duration
 from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Channel, Direction, PromptKind
 
 Settled = Literal["signals", "temperature"]
 InputSource = Literal["signal", "short", "reference"]
+Switching = Literal["on", "off", "cycle"]
 
 SETTLING: Final = "settling"
 """The reason of a wait between a turn and its reading."""
@@ -192,7 +194,56 @@ class SetTemperature:
         return f"set the chamber to {self.target_c:g} °C"
 
 
-Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature
+@dataclass(frozen=True, slots=True)
+class Power:
+    """The block is switched on, off, or off and on again (a cycle), as the bench file says of its supply.
+
+    In a cycle it is off for `off_s` at least. Once on it warms up for `warm_up_s`, as the bench file says for None.
+    """
+
+    key: str
+    switch: Switching
+    off_s: float = 0.0
+    warm_up_s: float | None = None
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        if self.switch == "off":
+            return "switch the block off"
+        off = f" off for {duration(self.off_s)} and" if self.off_s else " off and"
+        warm = (
+            "let it warm up" if self.warm_up_s is None else f"let it warm up for {duration(self.warm_up_s)}"
+        )
+        again = f"switch the block{off} on again" if self.switch == "cycle" else "switch the block on"
+        return f"{again}, {warm if self.warm_up_s != 0.0 else 'without warm-up'}"
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """The level on the platform is read with the head at 0°, in two positions for each of so many `settings` of it.
+
+    With `within_rad` the platform is levelled first, and again where it is further off: for the mounting that
+    follows. Without it stands as it is found, for the mounting that it was levelled for.
+    """
+
+    key: str
+    installation: str
+    series: int
+    settings: int = 1
+    within_rad: float | None = None
+
+    def describe(self) -> str:
+        """Say in one line what is done."""
+        where = f"installation {mount_in_words(self.installation, self.series)}"
+        if self.within_rad is None:
+            what = f"read the level as the platform stands, levelled for {where}"
+        else:
+            what = f"level the platform to {self.within_rad / ARCSEC:g}″ for {where}, read the level"
+        times = "" if self.settings == 1 else f", {self.settings} settings of the head"
+        return f"{what} in two positions{times}"
+
+
+Step = Mount | Turn | Wait | Settle | Read | SelectInput | Ask | SetTemperature | Level | Power
 
 
 # --- the order of the channels ----------------------------------------------------------------------

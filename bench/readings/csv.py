@@ -15,11 +15,16 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.regular import read_given
 from bench.readings.cells import as_cell, of_cell
+from bench.readings.level_columns import LEVEL_COLUMNS, wrong_level_cell
+from bench.readings.numbers import BadCell, angle, direction, integer, number
+from bench.readings.rails import is_of_a_rail
 from bench.readings.table import (
+    CHAMBER_C,
     FREE,
     REFERENCE,
     SCAN_ORDER,
     SHORTED,
+    TEMPERATURE_SOURCE,
     UNITS,
     UNORIENTED,
     VERIFICATION,
@@ -31,10 +36,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LISTED_AT_ONCE: Final = 20
-OVERLOAD: Final = 9.0e37
 REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
 OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
-AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v")
+AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v", TEMPERATURE_SOURCE, CHAMBER_C, *LEVEL_COLUMNS)
 """Promised columns that no number is made of here."""
 
 
@@ -49,14 +53,6 @@ class _Columns:
     values: dict[str, list[float]] = field(default_factory=dict)
     installation: list[str] = field(default_factory=list)
     extra: dict[str, list[str]] = field(default_factory=dict)
-
-
-class _BadCell(ValueError):
-    """One cell that cannot be read: which column, what was expected."""
-
-    def __init__(self, column: str, problem: str) -> None:
-        super().__init__(problem)
-        self.column = column
 
 
 def read_csv(
@@ -124,13 +120,13 @@ def _read(
             row = _row(header, cells, signals, labels)
             key = (row["series"], cells[header.index("installation")].strip(), row["pass"], row["point"])
             if key in seen:
-                raise _BadCell(
+                raise BadCell(
                     "point",
                     f"series {key[0]:g}, installation {key[1]}, pass {key[2]:g}, point {key[3]:g} "
                     f"stands already in line {seen[key]}; each may stand once (use the column 'series' "
                     "for a second visit)",
                 )
-        except _BadCell as problem:
+        except BadCell as problem:
             bad.append(f"{path}, line {line}, column {problem.column}: {problem}")
             verification_missing += VERIFICATION in (cell.strip() for cell in cells)
             continue
@@ -146,8 +142,8 @@ def _read(
         raise ReadingsError(_listing(bad))
     if not columns.installation:
         raise ReadingsError(f"{path}: no reading in it; expected a header line and a row for each reading")
-    unknown = [name for name in header if name not in known]
-    notes = (f"columns kept and not used: {', '.join(unknown)}",) if unknown else ()
+    unknown = ", ".join(name for name in header if name not in known and not is_of_a_rail(name))
+    notes = (f"columns kept and not used: {unknown}",) if unknown else ()
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
     return replace(table, verification_missing=verification_missing)
 
@@ -189,7 +185,7 @@ def split_table(
 
 def _without_empty_end(cells: list[str], least: int) -> list[str]:
     """Return the cells without empty ones beyond the first `least`: spreadsheets pad lines with commas."""
-    while len(cells) > least and cells[-1].strip() == "":
+    while len(cells) > least and not cells[-1].strip():
         cells = cells[:-1]
     return cells
 
@@ -219,9 +215,9 @@ def _example_header() -> str:
 def _row(
     header: list[str], cells: list[str], signals: list[str], labels: Collection[str]
 ) -> dict[str, float]:
-    """Return the numbers of one row by column; raises `_BadCell` for the first cell that is wrong."""
+    """Return the numbers of one row by column; raises `BadCell` for the first cell that is wrong."""
     if len(cells) != len(header):
-        raise _BadCell(
+        raise BadCell(
             header[min(len(cells), len(header) - 1)],
             f"expected {len(header)} cells as in the header, got {len(cells)}"
             + (" (is there a decimal comma?)" if len(cells) > len(header) else ""),
@@ -229,76 +225,36 @@ def _row(
     text = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
     label = text["installation"]
     if label not in labels:
-        raise _BadCell(
+        raise BadCell(
             "installation",
             f"expected one of {', '.join(sorted(labels))} (a bench file can define more), got {label!r}",
         )
     row = {
-        "series": _integer(text, "series", default=1),
-        "pass": _integer(text, "pass"),
-        "point": _integer(text, "point"),
-        "angle_deg": _angle(text, "angle_deg", optional=label in UNORIENTED),
-        "target_deg": _angle(text, "target_deg", optional=True),
-        "direction": _direction(text),
-        "time_s": _number(text, "time_s", "a time in seconds", optional=True),
-        "temperature_c": _number(text, "temperature_c", "a temperature in °C", optional=True),
-        "samples": _integer(text, "samples", default=1),
+        "series": integer(text, "series", default=1),
+        "pass": integer(text, "pass"),
+        "point": integer(text, "point"),
+        "angle_deg": angle(text, "angle_deg", optional=label in UNORIENTED),
+        "target_deg": angle(text, "target_deg", optional=True),
+        "direction": direction(text),
+        "time_s": number(text, "time_s", "a time in seconds", optional=True),
+        "temperature_c": number(text, "temperature_c", "a temperature in °C", optional=True),
+        "samples": integer(text, "samples", default=1),
     }
     try:
         scan_order(text.get(SCAN_ORDER, ""))
     except ValueError as problem:
-        raise _BadCell(SCAN_ORDER, str(problem)) from None
+        raise BadCell(SCAN_ORDER, str(problem)) from None
+    if wrong := wrong_level_cell(text):
+        raise BadCell(*wrong)
+    for name in filter(is_of_a_rail, header):
+        number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
-        row[name] = _number(text, name, "a number with a dot as decimal sign")
-        sd = name[:2] + "_sd" + name[2:]
-        row[sd] = _number(text, sd, "a standard deviation", optional=True)
+        row[name], sd = (
+            number(text, name, "a number with a dot as decimal sign"),
+            name[:2] + "_sd" + name[2:],
+        )
+        row[sd] = number(text, sd, "a standard deviation", optional=True)
     return row
-
-
-def _number(text: dict[str, str], column: str, expected: str, *, optional: bool = False) -> float:
-    cell = text.get(column, "")
-    if cell == "" and optional:
-        return math.nan
-    try:
-        if "_" in cell:
-            raise ValueError
-        value = float(cell)
-    except ValueError:
-        raise _BadCell(column, f"expected {expected}, got {cell!r}") from None
-    if abs(value) >= OVERLOAD and math.isfinite(value):
-        raise _BadCell(
-            column, f"the voltmeter was overloaded ({cell}); measure this point again on a higher range"
-        )
-    if not math.isfinite(value):
-        raise _BadCell(column, f"expected {expected}, got {cell!r}")
-    return value
-
-
-def _integer(text: dict[str, str], column: str, *, default: int | None = None) -> float:
-    if default is not None and text.get(column, "") == "":
-        return float(default)
-    value = _number(text, column, "a whole number, 1 or more")
-    if value != int(value) or not 1 <= value < 2**31:
-        raise _BadCell(column, f"expected a whole number, 1 or more, got {text[column]!r}")
-    return value
-
-
-def _angle(text: dict[str, str], column: str, *, optional: bool) -> float:
-    value = _number(text, column, "an angle in degrees", optional=optional)
-    if abs(value) > 720:
-        raise _BadCell(column, f"expected an angle in degrees between -720 and 720, got {text[column]!r}")
-    return value
-
-
-def _direction(text: dict[str, str]) -> float:
-    value = _number(text, "direction", "+1 (rising), -1 (falling) or nothing", optional=True)
-    if math.isnan(value):
-        return 0.0
-    if value not in {1.0, -1.0}:
-        raise _BadCell(
-            "direction", f"expected +1 (rising), -1 (falling) or nothing, got {text['direction']!r}"
-        )
-    return value
 
 
 def _listing(bad: list[str]) -> str:
@@ -392,7 +348,5 @@ ROUNDED: Final = 16
 
 def _signal(value: float) -> str:
     """Return `value` as text, without what the sum of a mean has rounded; empty for not given."""
-    if math.isnan(value):
-        return ""
     short = float(f"{value:.12g}")
-    return repr(short if abs(short - value) <= ROUNDED * math.ulp(value) else float(value))
+    return _text(short if abs(short - value) <= ROUNDED * math.ulp(value) else value)

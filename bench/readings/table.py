@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from bench.base.arrays import Floats, Ints, Labels
 from bench.model.conditions import Conditions
+from bench.readings.level_columns import level_rad
+from bench.readings.rails import above_nominal_v
 
 VERIFICATION: Final = "V"
 FREE: Final = "F"
@@ -27,6 +29,12 @@ SCAN_ORDER: Final = "scan_order"
 
 REFERENCE_V: Final = "reference_v"
 """The extra column with the voltage at a reference input."""
+
+TEMPERATURE_SOURCE: Final = "temperature_source"
+"""The extra column with what told the temperature of the block, where that was a thermometer of its own."""
+
+CHAMBER_C: Final = "chamber_c"
+"""The extra column with the air of the chamber beside it, °C."""
 
 MOST_DECIMALS: Final = 8
 """A 34401A's reply has so many: what is given to more is no reading as it came from a meter."""
@@ -137,6 +145,8 @@ class Readings:
             if SCAN_ORDER in self.extra
             else None,
             began_s=self.began_s,
+            level_rad=level_rad(self.extra, len(self)),
+            supply_v=above_nominal_v(self.extra),
         )
 
 

@@ -59,10 +59,41 @@ class Answered:
     answer: str
 
 
-Result = Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered
+@dataclass(frozen=True)
+class Powered:
+    """The block was switched: "on", "off" or "cycle"; how long it then warmed up, s, and at which signals, V."""
+
+    switched: str
+    warmed_up_s: float | None
+    warmed_up_at: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Levelled:
+    """What the level showed with the head at 0°: α1 and α2 of the platform with their standard uncertainties.
+
+    `level_of` and `level_series` say for which mounting; `adjusted` that the platform was levelled before, else it
+    stood as it was found. `level_zero_arcsec` is the level's own zero along the shaft and across, `level_readings`
+    for each setting the head's angle, then along and across in the first and in the turned position, arcsec.
+    """
+
+    level_of: str
+    level_series: int
+    adjusted: bool
+    alpha1_arcsec: float
+    u_alpha1_arcsec: float
+    alpha2_arcsec: float
+    u_alpha2_arcsec: float
+    level_zero_arcsec: tuple[float, ...]
+    level_readings: tuple[tuple[float, ...], ...]
+
+
+Result = (
+    Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered | Levelled | Powered
+)
 """What a step brings; a wait brings none."""
 
-_KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered)
+_KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered, Levelled, Powered)
 """Results, which their fields tell apart in a record."""
 
 _FIELDS: Final[Mapping[Callable[..., Result], tuple[str, ...]]] = {
@@ -123,7 +154,16 @@ class EventType(StrEnum):
     REDO = "redo"
     """`first` and `last` of the steps; `wish`."""
     REMOUNTED = "remounted"
-    """`installation`, `series`, and `now_series` by which its further readings are known."""
+    """`installation`, `series`, and `now_series` by which its further readings are known.
+
+    With `why` the block was not taken off, but without power in the meantime: that is another visit, too.
+    """
+    POWER = "power"
+    """`power`: the block was switched "on" or "off", "found on", or a look found a "fault".
+
+    `rails` is what the supply measures at each; with a fault there are phrases in its place, `wrong`."""
+    WARMED_UP = "warmed_up"
+    """`after_s`, from switching on; where it was waited until the signals had settled, `at`, V."""
     EARLY_SIGN = "early_sign"
     """`step`, and an early sign."""
     SAME_SERIAL = "same_serial"
@@ -158,6 +198,7 @@ _TOLD: Final[Mapping[str, _Told]] = {
     EventType.SKIPPED: _STEPS,
     EventType.REDO: _STEPS,
     EventType.REMOUNTED: (("installation", str), ("series", int), ("now_series", int)),
+    EventType.POWER: (("power", str),),
     EventType.EARLY_SIGN: (("sentence", str),),
     EventType.WISH_REFUSED: (("wish", str), ("why", str)),
 }

@@ -10,6 +10,7 @@ from pathlib import Path
 from bench.base.collecting import uncollected
 from bench.base.json_text import read_json
 from bench.procedure.plan import Plan, Read
+from bench.readings.levelled import Seen, with_levels
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
 from bench.run.history import History, read_history
@@ -91,12 +92,24 @@ class Run:
         if not taken:
             raise RecordError(f"{self.folder}: no reading is recorded in this run")
         planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
-        table = readings_of(taken, str(self.folder))
+        table = with_levels(readings_of(taken, str(self.folder)), self._seen_by_level())
         return replace(
             table,
             verification_missing=planned - len(table.verification()),
             notes=self._unfinished_note(len(taken)),
         )
+
+    def _seen_by_level(self) -> list[Seen]:
+        return [
+            Seen(
+                bench_s,
+                (one.level_series, one.level_of),
+                one.adjusted,
+                (one.alpha1_arcsec, one.alpha2_arcsec),
+                (one.u_alpha1_arcsec, one.u_alpha2_arcsec),
+            )
+            for bench_s, one in self.trusted_history().levelled
+        ]
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
         """Say how much of the plan was measured, where it is not all."""

@@ -16,7 +16,7 @@ from typing import BinaryIO, Final, overload
 from bench.base.collecting import uncollected
 from bench.base.json_text import read_json
 from bench.readings.reading import Reading
-from bench.run.events import Event, EventType
+from bench.run.events import Event, EventType, Levelled
 from bench.run.manifest import EVENTS, MANIFEST, RecordError, changed_inputs, sha256
 from bench.run.resume import Progress
 from bench.run.states import RunState, state_after_one
@@ -57,7 +57,8 @@ class History:
     `head` is the SHA-256 of the last whole line, which stands for all before it, `length` the bytes up to there.
     `taken` are readings and the marks of a mounting in the middle of a run, in the order of measurement, without
     their samples; `identities` those of the instruments when the run was begun, `serials` their serial numbers
-    where the bench has certificates. What follows on a line that cannot be believed is left out of everything.
+    where the bench has certificates; `levelled` what the level showed, with the bench time. What follows on a line
+    that cannot be believed is left out of everything.
     """
 
     events: Events
@@ -70,6 +71,7 @@ class History:
     taken: tuple[tuple[int, Reading] | None, ...]
     identities: dict[str, str]
     serials: dict[str, str]
+    levelled: tuple[tuple[float, Levelled], ...] = ()
 
     @property
     def readings(self) -> dict[int, Reading]:
@@ -112,6 +114,7 @@ class _Reader:
         self._taken: list[tuple[int, Reading] | None] = []
         self._identities: dict[str, str] | None = None
         self._serials: dict[str, str] = {}
+        self._levelled: list[tuple[float, Levelled]] = []
 
     def read(self, file: BinaryIO) -> list[str]:
         """Take the lines; return what is wrong with the first that cannot be believed."""
@@ -147,6 +150,8 @@ class _Reader:
         if event.type == EventType.STEP_DONE:
             if "reading" in event.data and (reading := event.reading) is not None:
                 self._taken.append((event.step, reading))
+            elif isinstance(event.result, Levelled):
+                self._levelled.append((event.bench_s, event.result))
         elif event.type == EventType.REMOUNTED:
             self._taken.append(None)
         elif event.type in _OPENED and self._identities is None:
@@ -166,6 +171,7 @@ class _Reader:
             taken=tuple(self._taken),
             identities=self._identities or {},
             serials=self._serials,
+            levelled=tuple(self._levelled),
         )
 
 

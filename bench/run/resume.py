@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
+from bench.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Turn
 from bench.run.events import Event, EventType
 from bench.run.manifest import RecordError
 from bench.run.states import Wish
@@ -24,7 +24,8 @@ class Progress:
     series that readings of a (series, installation) have since the block was taken off and mounted again in
     the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `in_vain` the steps
     at which one did whose point was redone for it, `gone_on` those at which one was overruled, `signs` how many
-    there were.
+    there were. `power` is what was told last of the block's: "on", "found on", "off", "fault", or nothing;
+    `off_since_s` since when it is off, `warm` whether it has warmed up since it was switched on.
     """
 
     done: set[int] = field(default_factory=set)
@@ -38,6 +39,9 @@ class Progress:
     in_vain: set[int] = field(default_factory=set)
     gone_on: set[int] = field(default_factory=set)
     signs: int = 0
+    power: str = ""
+    off_since_s: float | None = None
+    warm: bool = False
 
     @classmethod
     def of(cls, history: History) -> Progress:
@@ -68,6 +72,12 @@ class Progress:
             case EventType.REMOUNTED:
                 place = (int(event.data["series"]), str(event.data["installation"]))
                 self.remounts[place] = int(event.data["now_series"])
+            case EventType.POWER:
+                self.power = str(event.data["power"])
+                self.off_since_s = event.bench_s if self.power == "off" else None
+                self.warm = False
+            case EventType.WARMED_UP:
+                self.warm = True
             case EventType.EARLY_SIGN:
                 self.signs += 1
                 if event.data.get("confident"):
@@ -153,9 +163,13 @@ def resume_point(plan: Plan, history: History) -> ResumePoint:
 
 def _reading_is_open(plan: Plan, step: int) -> bool:
     """Whether `step` lies within a point of which a reading is still to come."""
-    if step == len(plan.steps) or isinstance(plan.steps[step], Turn | Mount | SetTemperature):
+    if step == len(plan.steps) or isinstance(plan.steps[step], Turn | _ENDS_A_POINT):
         return False
     return any(isinstance(later, Read) for later in plan.steps[step : end_of_point(plan, step)])
+
+
+_ENDS_A_POINT: Final = Mount | SetTemperature | Level
+"""After these the head is not where the last turn left it, or the block not as it was."""
 
 
 def turn_before(plan: Plan, step: int) -> int:
@@ -163,7 +177,7 @@ def turn_before(plan: Plan, step: int) -> int:
     for index in range(min(step, len(plan.steps)) - 1, -1, -1):
         if isinstance(plan.steps[index], Turn):
             return index
-        if isinstance(plan.steps[index], Mount | SetTemperature):
+        if isinstance(plan.steps[index], _ENDS_A_POINT):
             break
     return step
 
@@ -171,7 +185,7 @@ def turn_before(plan: Plan, step: int) -> int:
 def end_of_point(plan: Plan, step: int) -> int:
     """The step after the point that `step` belongs to."""
     for index in range(step + 1, len(plan.steps)):
-        if isinstance(plan.steps[index], Turn | Mount | SetTemperature):
+        if isinstance(plan.steps[index], Turn | _ENDS_A_POINT):
             return index
     return len(plan.steps)
 

@@ -21,10 +21,12 @@ from bench.run.control import Controls, NoControls, OperatorWish, RunControl
 from bench.run.events import Event, EventType, result_to_json
 from bench.run.halt import how_to_go_on, mounting_before, step_in_doubt
 from bench.run.manifest import RecordError
-from bench.run.prompts import agree, confirm
+from bench.run.power import Feeding, UnitPower
+from bench.run.power_up import begin, take_up
+from bench.run.prompts import confirm
 from bench.run.record import Record
 from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
-from bench.run.same_serial import same_serials
+from bench.run.same_serial import agree_to_others, same_serials
 from bench.run.settling import Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
 from bench.run.watch.sign import EarlySign
@@ -65,7 +67,7 @@ class Runner:
     go on after an early sign, where that is somebody else than `person`. After `hold_signals` no signal raises
     anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time that jumps
     where `clocks` see to it. `certificates` says of the serial numbers that answered, by name, what is to be told
-    of the instruments' certificates.
+    of the instruments' certificates. `fed` is how the power supply feeds the block.
     """
 
     plan: Plan
@@ -82,12 +84,14 @@ class Runner:
     watch: Watch = lambda reading: ()
     block_limits_c: tuple[float, float] = (-math.inf, math.inf)
     least_samples: int = 1
+    setting_u_rad: float = 0.0
     decider: Person | None = None
     slow_chamber_s: float = SLOW_AFTER_S
     clocks: ClockWatch | None = None
     on_settling: Callable[[Settling], None] = lambda state: None
     hold_signals: Callable[[], None] = lambda: None
     certificates: Callable[[Mapping[str, str]], Sequence[str]] | None = None
+    fed: Feeding | None = None
     state: RunState = RunState.READY
     _zero_s: float = 0.0
 
@@ -102,9 +106,14 @@ class Runner:
             on_settling=self.on_settling,
             block_limits_c=self.block_limits_c,
             least_samples=self.least_samples,
+            setting_u_rad=self.setting_u_rad,
             slow_chamber_s=self.slow_chamber_s,
-            tell=lambda kind, data: self._emit(kind, **data),
+            tell=self._tell,
         )
+        if self.fed is not None and (supply := self.instruments.power_supply) is not None:
+            self._workbench.power = UnitPower(
+                supply, self.fed, self.person, self.clock, self._now_s, self._hear, self._tell
+            )
 
     def run(self, resume: ResumePoint | None = None) -> None:
         """Open the instruments, carry out the plan, leave the bench safe.
@@ -132,7 +141,7 @@ class Runner:
         self._zero_s = self.clock.now_s() - bench_s
         opened = self.instruments.open()
         identities = {name: str(identity) for name, identity in opened.items()}
-        self._insist(partial(self._compare, identities))
+        self._insist(partial(agree_to_others, self.person, self.progress.identities, identities))
         serials = {name: identity.serial for name, identity in opened.items()}
         known = {} if self.certificates is None else {"serials": serials}
         begun = EventType.RUN_RESUMED if resume else EventType.RUN_STARTED
@@ -143,6 +152,8 @@ class Runner:
             self._emit(EventType.CERTIFICATE, words=words)
         if resume:
             self._restore(resume)
+        elif self._workbench.power is not None:
+            self._insist(partial(begin, self.plan, self._workbench.switch))
         self._carry_out(start)
         self._change(EventType.RUN_FINISHED)
 
@@ -176,9 +187,11 @@ class Runner:
 
     def _way_out(self, cause: BaseException | None) -> None:
         """Leave the bench safe, then record how the run stopped and what a person must still do."""
-        to_do = leave_safe(self.instruments, self._workbench.demanded_c)
+        to_do = leave_safe(self.instruments, self._workbench.demanded_c, self._workbench.power)
         try:
             self._record_stop(cause)
+            if self._workbench.power is not None and self._workbench.power.left_off:
+                self._tell(EventType.POWER, {"power": "off", "rails": {}})
             if to_do:
                 self._emit(EventType.LEFT_SAFE, to_do=to_do)
         except RecordError as error:
@@ -209,21 +222,11 @@ class Runner:
         if self.clocks is not None and (ahead_s := self.clocks.gap_s()):
             self._emit(EventType.CLOCK_JUMPED, ahead_s=round(ahead_s, 1))
 
+    def _tell(self, kind: EventType, data: dict[str, Any]) -> None:
+        self._emit(kind, **data)
+
     def _now_s(self) -> float:
         return self.clock.now_s() - self._zero_s
-
-    def _compare(self, identities: dict[str, str]) -> None:
-        """Ask before going on with other instruments than those that the run was begun with."""
-        changed = [
-            f"{name} was {before} and is now {identities.get(name, 'gone')}"
-            for name, before in self.progress.identities.items()
-            if identities.get(name) != before
-        ]
-        if changed:
-            text = f"Other instruments than before: {'; '.join(changed)}. Go on with them?"
-            agree(
-                self.person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"})
-            )
 
     def _restore(self, resume: ResumePoint) -> None:
         """Bring the bench to where the steps before the one to go on with left it."""
@@ -236,6 +239,11 @@ class Runner:
                 self._insist(partial(self._remount, last))
             elif isinstance(last, SelectInput) and last.source != "signal":
                 self._insist(partial(self._workbench.execute, last))
+        if (power := self._workbench.power) is not None:
+            known = (power, self.plan, resume.step, self.progress)
+            self._insist(
+                partial(take_up, *known, self._workbench.switch, partial(self._emit_remounted, why="power"))
+            )
         if resume.turn is not None:
             self._insist(partial(self._step, resume.turn))
         self.progress.reopen(self.plan, resume.step)
@@ -250,11 +258,13 @@ class Runner:
             return
         self._emit_remounted(step)
 
-    def _emit_remounted(self, step: Mount) -> None:
-        """Record that the block was mounted again: its further readings are another visit."""
-        highest = max(s.series for s in self.plan.steps if isinstance(s, Mount))
-        visit = highest + 1 + len(self.progress.remounts)
-        self._emit(EventType.REMOUNTED, installation=step.installation, series=step.series, now_series=visit)
+    def _emit_remounted(self, step: Mount | Read, why: str = "") -> None:
+        """Record that the block was mounted again, or was off: its further readings are another visit."""
+        planned = (s.series for s in self.plan.steps if isinstance(s, Mount | Read))
+        visit = 1 + max(*planned, *self.progress.remounts.values())
+        told = {"why": why} if why else {}
+        place = {"installation": step.installation, "series": step.series}
+        self._emit(EventType.REMOUNTED, **place, now_series=visit, **told)
 
     def _insist(self, prepare: Callable[[], object]) -> None:
         """Do what comes before the steps; of wishes the end is heard, and a pause is the question put again."""

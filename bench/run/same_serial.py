@@ -6,7 +6,8 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Final
 
-from drivers.interfaces import Identity
+from bench.run.prompts import agree
+from drivers.interfaces import Identity, Person, Prompt, PromptKind
 
 NO_SERIAL: Final = frozenset({"", "0"})
 """What an instrument says that states none: a 34401A answers 0, whichever it is."""
@@ -24,3 +25,15 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
         for (model, serial), alike in names.items()
         if len(alike) > 1
     ]
+
+
+def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
+    """Ask before going on with other instruments than those that the run was begun with; identities by name."""
+    changed = [
+        f"{name} was {identity} and is now {now.get(name, 'gone')}"
+        for name, identity in before.items()
+        if now.get(name) != identity
+    ]
+    if changed:
+        text = f"Other instruments than before: {'; '.join(changed)}. Go on with them?"
+        agree(person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"}))

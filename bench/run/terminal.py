@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Collection
-from typing import Final, TextIO
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Final, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -182,6 +182,9 @@ class ProgressBar:
     def settling(self, state: Settling) -> None:
         """Show how far what is waited for has settled."""
         left = "" if state.left_s is None else f", about {duration(state.left_s)} to go"
+        if not state.spread:
+            self._progress.update(self._task, description=f"the block warms up{left}")
+            return
         moving = ", ".join(f"{spread:.2g}" for spread in state.spread)
         self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
 
@@ -240,9 +243,35 @@ def sentence(event: Event) -> str:
                 f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
                 f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
             )
+        case EventType.POWER:
+            return _power_in_words(data)
+        case EventType.WARMED_UP if data.get("after_s") is not None:
+            return f"the block is warm, {duration(data['after_s'])} after it was switched on"
+        case EventType.REMOUNTED if data.get("why") == "power":
+            return (
+                f"the block was without power: its further readings in installation {data['installation']} are "
+                f"another visit, series {data['now_series']}"
+            )
         case EventType.LEFT_SAFE:
             return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
     return event.type
+
+
+def _power_in_words(data: Mapping[str, Any]) -> str:
+    """Say what was done to the block's supply, or what was seen of it."""
+    rails = ", ".join(
+        f"{name} {rail['voltage_v']:.5g} V, {rail['current_a']:.3g} A"
+        for name, rail in data.get("rails", {}).items()
+    )
+    match data["power"]:
+        case "on":
+            return f"the block is switched on: {rails}"
+        case "found on":
+            return f"the block was found on, and as it is to be: {rails}"
+        case "off":
+            return "the block is switched off"
+        case _:
+            return f"stopped: {'; '.join(map(str, data.get('wrong', ())))}"
 
 
 def _running_sums(step_s: list[float]) -> list[float]:

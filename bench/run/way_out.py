@@ -5,18 +5,23 @@ Nothing here raises: what one instrument does must not keep the next from being 
 
 from __future__ import annotations
 
+from bench.run.power import UnitPower
 from bench.run.workbench import Instruments
 from drivers.interfaces import BenchError, Instrument, ThermalChamber
 
 
-def leave_safe(instruments: Instruments, demanded_c: float | None) -> dict[str, str]:
-    """Set the chamber to its safe setting, close everything (a head stops, a meter goes to local).
+def leave_safe(
+    instruments: Instruments, demanded_c: float | None, power: UnitPower | None = None
+) -> dict[str, str]:
+    """Leave the block as is safe for it, set the chamber to its safe setting, close everything.
 
-    A chamber that was not opened is another program's, or as it was before: it is left so. `demanded_c` is what
-    the chamber was last sent to, None where it was not. Returns what a person must still
-    do, by instrument.
+    A head then stops, a meter goes to local. A chamber that was not opened is another program's, or as it was
+    before: it is left so, and so is a block that this run has not switched. `demanded_c` is what the chamber was
+    last sent to, None where it was not. Returns what a person must still do, by instrument.
     """
     to_do = {}
+    if power is not None and (note := power.leave()):
+        to_do[power.supply.name] = note
     chamber = instruments.chamber
     opened = chamber is not None and chamber.name in instruments.opened
     if chamber is not None and opened and (note := _standby(chamber, demanded_c)):

@@ -10,34 +10,56 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS
-from bench.procedure.plan import Ask, Mount, Read, SelectInput, SetTemperature, Settle, Step, Turn, Wait
+from bench.procedure.plan import (
+    Ask,
+    Level,
+    Mount,
+    Power,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Step,
+    Turn,
+    Wait,
+)
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.reading import Reading
+from bench.readings.supplied import Rail, between
+from bench.run.block_temperature import told_at_mounting, told_at_reading
 from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
 from bench.run.events import (
     Answered,
     CameToRest,
     EventType,
     InputSelected,
+    Levelled,
     Mounted,
+    Powered,
     Result,
     TemperatureSet,
     Turned,
 )
+from bench.run.levelling import Levelling
 from bench.run.mounting import UNTOUCHED, mount_prompt, untouched_prompt
+from bench.run.power import UnitPower
+from bench.run.power_up import warm_up
 from bench.run.prompts import ask, confirm
 from bench.run.samples import describe
 from bench.run.settling import Criterion, Settling, wait_until_settled
+from drivers import interfaces
 from drivers.clock import Clock
 from drivers.interfaces import (
     BenchError,
     DividingHead,
     HeadPosition,
     Identity,
+    Inclination,
     Instrument,
     LimitExceeded,
     NotConnected,
     Person,
+    PowerSupply,
     Prompt,
     PromptKind,
     ThermalChamber,
@@ -62,11 +84,15 @@ class Instruments:
     voltmeters: Sequence[Voltmeter]
     head: DividingHead
     chamber: ThermalChamber | None = None
+    level: interfaces.Level | None = None
+    thermometer: interfaces.Thermometer | None = None
+    power_supply: PowerSupply | None = None
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
-        return [*self.voltmeters, self.head, *([self.chamber] if self.chamber else [])]
+        further = (self.chamber, self.level, self.thermometer, self.power_supply)
+        return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
 
     def open(self) -> dict[str, Identity]:
         """Open everything and return the identities by name. Raises every failure at once."""
@@ -88,8 +114,10 @@ class Workbench:
     """Executes steps. `range_v` is the voltmeters' fixed range, `now_s` the bench time since the run began.
 
     `visits` gives the series that readings of a (series, installation) are recorded with, where the block
-    was mounted again in the middle of it; `block_limits_c` are the temperatures that the block may have;
-    `least_samples` is how few samples every voltmeter takes, by which signals are seen to settle;
+    was mounted again in the middle of it; `power` is the block's supply, where it has one;
+    `block_limits_c` are the temperatures that the block may have; `least_samples` is how few samples every
+    voltmeter takes, by which signals are seen to settle.
+    `setting_u_rad` is the standard uncertainty of a setting of the head.
     After `slow_chamber_s` `tell` is told of a chamber that hardly moves.
     `temperature_c` is the temperature last read or told, `demanded_c` what the chamber was last sent to.
     """
@@ -105,18 +133,24 @@ class Workbench:
     least_samples: int = 1
     slow_chamber_s: float = SLOW_AFTER_S
     tell: Callable[[EventType, dict[str, Any]], None] = lambda kind, data: None
+    setting_u_rad: float = 0.0
     visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
+    power: UnitPower | None = None
     _reference_v: float | None = field(default=None, init=False)
     _position: HeadPosition | None = field(default=None, init=False)
     temperature_c: float | None = field(default=None, init=False)
     demanded_c: float | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
+    _level_zero: Inclination | None = field(default=None, init=False)
+    _chamber_c: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._chamber_watch = ChamberWatch(self.clock, self.slow_chamber_s, self.tell)
 
     def execute(self, step: Step) -> Result | None:
         """Carry out a step and return what it brought. Raises `BenchError`."""
+        if not isinstance(step, Power):
+            self._watch_rails(step.key)
         match step:
             case Mount():
                 return self.mount(step)
@@ -135,13 +169,18 @@ class Workbench:
                 return self._select_input(step)
             case Ask():
                 return self._ask(step)
+            case Power():
+                return self.switch(step)
+            case Level():
+                return self._level(step)
 
     def mount(self, step: Mount) -> Mounted:
         """Have the block mounted, and the temperature told where a person must tell it."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
-        chamber = self.instruments.chamber
-        self.temperature_c = chamber.temperature(step.key) if chamber and chamber.asks_person else None
+        self.temperature_c = told_at_mounting(self.instruments, step.key)
+        if self.power is not None and self.power.on and self.power.supply.asks_person:
+            self.power.look(step.key)
         return Mounted(self.temperature_c)
 
     def still_mounted(self, step: Mount) -> bool:
@@ -161,6 +200,32 @@ class Workbench:
         self.temperature_c = None
         return TemperatureSet(step.target_c)
 
+    def switch(self, step: Power) -> Powered:
+        """Switch the block; once it is on let it warm up."""
+        if self.power is None:
+            raise BenchError(
+                "power_supply",
+                f"{step.key}: the procedure switches the block, but the bench has no supply of it",
+                "say in the bench file how the block is supplied",
+            )
+        match step.switch:
+            case "off":
+                self.power.switch_off(step.key)
+                return Powered(step.switch, None)
+            case "cycle":
+                self.power.cycle(step.off_s, step.key)
+            case "on":
+                self.power.have_on(step.key)
+        after_s, at = warm_up(self.power, step.warm_up_s, self._quick_signals, self.on_settling, step.key)
+        return Powered(step.switch, round(after_s, 3), at)
+
+    def _watch_rails(self, key: str) -> None:
+        if self.power is not None:
+            self.power.watch(key)
+
+    def _rails(self, key: str) -> Mapping[str, Rail]:
+        return {} if self.power is None else self.power.at_reading(key)
+
     def _chamber(self, wanted: str) -> ThermalChamber:
         if self.instruments.chamber is None:
             raise BenchError(
@@ -174,19 +239,31 @@ class Workbench:
         self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
+    def _level(self, step: Level) -> Levelled:
+        levelling = Levelling(self.instruments, self.person, self.setting_u_rad, self._level_zero)
+        found = levelling.carry_out(step)
+        self._position, self._level_zero = levelling.position, levelling.zero
+        return found
+
     def _wait(self, step: Wait) -> None:
         end_s = self.clock.now_s() + step.duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
+            self._watch_rails(step.key)
             self._chamber_watch.look(self.instruments.chamber, step.key)
             self.clock.sleep(min(NAP_S, left_s))
 
     def _settle(self, step: Settle) -> CameToRest:
         """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""
         criterion = Criterion(step.precision, step.window_s, step.timeout_s, step.interval_s)
+
+        def nap(state: Settling) -> None:
+            self.on_settling(state)
+            self.between_naps()
+            self._watch_rails(step.key)
+
         if step.what == "signals":
-            self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, self.least_samples))
-            state = wait_until_settled(self._signals, criterion, self.clock, self._nap)
+            state = wait_until_settled(self._quick_signals, criterion, self.clock, nap)
         else:
             chamber = self._chamber(f"{step.key}: the procedure waits for a temperature")
             if chamber.asks_person:
@@ -199,7 +276,7 @@ class Workbench:
                 lambda: (self._air_c(chamber, step.key),),
                 criterion,
                 self.clock,
-                self._nap,
+                nap,
                 names=("",),
                 unit="°C",
             )
@@ -210,13 +287,11 @@ class Workbench:
         self._chamber_watch.take(chamber.name, air_c)
         return air_c
 
-    def _signals(self) -> tuple[float, ...]:
+    def _quick_signals(self) -> tuple[float, ...]:
+        """Return the three signals as they are now, V: the last of the fewest samples."""
+        self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, self.least_samples))
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
-
-    def _nap(self, state: Settling) -> None:
-        self.on_settling(state)
-        self.between_naps()
 
     def _select_input(self, step: SelectInput) -> InputSelected:
         """Have the inputs switched; nothing of the head's position holds for a shorted input."""
@@ -248,9 +323,11 @@ class Workbench:
     def _read(self, step: Read) -> Reading:
         self._configure(VoltmeterSettings(self.range_v, step.nplc, step.samples))
         self._take_temperature(step.key)
+        before = self._rails(step.key)
         begun_s = self.now_s()
         meters = in_scan_order(self.instruments.voltmeters, step.scan)
         samples = self._sample(meters)
+        rails = between(before, self._rails(step.key))  # raises where the samples are not to be believed
         described = describe(samples)
         statistics = [described[channel] for channel in CHANNELS]
         position = None if step.target_rad is None else self._position
@@ -264,6 +341,10 @@ class Workbench:
             direction=0 if position is None else position.direction,
             time_s=begun_s,
             temperature_c=self.temperature_c,
+            temperature_source=""
+            if self.instruments.thermometer is None
+            else self.instruments.thermometer.sensor,
+            chamber_c=self._chamber_c,
             unit="V",
             mean=tuple(of.mean for of in statistics),
             sd=tuple(of.sd for of in statistics),
@@ -274,16 +355,17 @@ class Workbench:
             outlier=tuple(of.outlier for of in statistics),
             reference_v=self._reference_v,
             scan_order=read_order(meters),
+            rails=rails,
         )
 
     def _take_temperature(self, key: str) -> None:
-        """Read the chamber; a person is asked once after each mounting and each new temperature.
+        """Read the thermometer at the block, else the chamber.
+
+        A person is asked once after each mounting and each new temperature.
 
         Raises `LimitExceeded` when the block is where it may not be: the run stops, the chamber goes safe.
         """
-        chamber = self.instruments.chamber
-        if chamber is not None and (self.temperature_c is None or not chamber.asks_person):
-            self.temperature_c = chamber.temperature(key)
+        self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)
         low_c, high_c = self.block_limits_c
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(

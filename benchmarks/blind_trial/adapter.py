@@ -11,6 +11,7 @@ import numpy as np
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.evidence import Whitened
+from bench.analysis.diagnosis.free_positions import diagnose_free
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.show import Simulation, show
@@ -62,6 +63,8 @@ def _own() -> tuple[Effect, ...]:
 
 def diagnose_case(case: Case) -> dict[str, Any]:
     """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
+    if case.free:
+        return diagnose_free(case.free, one_sensor=True).to_dict()
     with CATALOGUE.also(_own() if case.own else ()):
         return _diagnosed(case)
 

@@ -22,6 +22,7 @@ from benchmarks.blind_trial.effects import (
     SEEN_IN_VERIFICATION,
     STAND,
 )
+from benchmarks.blind_trial.free_positions import FREE, free_tables
 from benchmarks.blind_trial.geometry import Floats
 from benchmarks.blind_trial.known import HAND_SET, OTHER_PSI, REPAIRED, common_volts, hand_set, stated_psi_deg
 from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
@@ -37,6 +38,7 @@ from benchmarks.blind_trial.signals import (
     visibility,
 )
 from benchmarks.blind_trial.slips import SLIPS
+from benchmarks.blind_trial.supply import SENSITIVE, SUPPLIED, courses, drifting, recorded, sensitive
 from benchmarks.blind_trial.truth import CHANNELS, Draw, Truth
 
 READING_NOISE_V: Final = 15e-6
@@ -51,8 +53,8 @@ TRIES: Final = 5
 class Row:
     """One row of the score table: what is hidden, in which design, how visible, at which noise, how often.
 
-    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS` or `KNOWN` or
-    mistake:NAME.
+    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`, `SUPPLIED` or
+    mistake:NAME, or one of `FREE`, which has a noise and a design of its own.
     `noise_v` is what the bench states, `noise_factor` how many times that the truth is (readings and settings
     alike), `noise` which kind it is of (`NOISES`). A case may be of several `runs` that all have the same effect,
     `rho` in each: of one block, or of a block each (`blocks`).
@@ -76,7 +78,8 @@ class Row:
         of = "a block each" if self.blocks else "one block"
         several = f", {self.runs} runs of {of}" if self.runs > 1 else ""
         noise = "" if self.noise == "equal" else f", {self.noise}"
-        return f"{self.kind} {self.design}{visible} {self.noise_v * 1e6:g} uV{factor}{noise}{several}"
+        unit = "ug" if self.kind in FREE else "uV"
+        return f"{self.kind} {self.design}{visible} {self.noise_v * 1e6:g} {unit}{factor}{noise}{several}"
 
 
 @dataclass(frozen=True)
@@ -84,8 +87,8 @@ class Case:
     """What the diagnosis is given: a table of readings, and the noise that the bench file states (1 σ).
 
     `reading_noise_v` in V, `setting_noise` in rad; with `own` it is given the formulas of the user's own as well.
-    `stated_psi_deg` is what the bench file says of the verification points, None where it is right. The name says
-    nothing of what is hidden.
+    `stated_psi_deg` is what the bench file says of the verification points, None where it is right. Of free
+    positions `free` are the records. The name says nothing of what is hidden.
     """
 
     id: str
@@ -95,6 +98,7 @@ class Case:
     setting_noise: float
     own: bool = False
     stated_psi_deg: float | None = None
+    free: tuple[Readings, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,14 +155,19 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     """Make case `index` of a row, the same for the same seed, row and index."""
     digest = hashlib.sha256(f"{seed}/{row.key}/{index}".encode()).digest()
     rng = np.random.default_rng(list(digest))
+    if row.kind in FREE:
+        return _free_case(rng, digest.hex()[:12], seed, row, index)
     run = _run(rng, row)
-    truths = _truths(rng, row, run, index)
+    above_v = courses(rng, run) if row.kind in SUPPLIED else None
+    truths = _truths(rng, row, run, index) if above_v is None else [_of_the_supply(rng, row, run, above_v)]
     mistake = (
         MISTAKES[row.kind.removeprefix("mistake:")](rng, run) if row.kind.startswith("mistake:") else None
     )
     if row.kind == REPAIRED:
         mistake = MISTAKES["outlier"](rng, run)
     readings = _measure(rng, row, run, truths, mistake)
+    if above_v is not None:
+        readings = replace(readings, extra={**readings.extra, **recorded(rng, above_v)})
     if row.runs > 1:
         tables = [readings, *(_measure(rng, row, _run(rng, row), truths, None) for _ in range(1, row.runs))]
         tables = [_of_another_block(rng, table) for table in tables] if row.blocks else tables
@@ -170,6 +179,18 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     if mistake is not None:
         answer = replace(answer, place=mistake.place, accepted=mistake.names)
     return case, answer
+
+
+def _free_case(rng: np.random.Generator, name: str, seed: int, row: Row, index: int) -> tuple[Case, Answer]:
+    tables, truth, rho = free_tables(rng, row.kind, row.rho)
+    readings = together([JoinedPart(table) for table in tables]) if len(tables) > 1 else tables[0]
+    answer = Answer(name, row, index, seed)
+    if truth is not None:
+        channels = tuple(CHANNELS[c] for c in truth.channels)
+        change = np.concatenate(truth.added)
+        effect = HiddenEffect(truth.name, channels, ("F",), row.kind, rho, {}, rho, rho, change)
+        answer = replace(answer, effects=(effect,))
+    return Case(name, row.design, readings, row.noise_v, 0.0, free=tables), answer
 
 
 def _run(rng: np.random.Generator, row: Row) -> Run:
@@ -252,6 +273,11 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
             return [_scaled(rng, row, run, seen, SLIPS[kind])]
         case _:
             raise ValueError(f"No such kind of case: {row.kind}.")
+
+
+def _of_the_supply(rng: np.random.Generator, row: Row, run: Run, above_v: Floats) -> Truth:
+    draw = sensitive if row.kind == SENSITIVE else drifting
+    return _scaled(rng, row, run, _true_visibility(row), lambda r, of: draw(r, of, above_v))
 
 
 def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:

@@ -23,6 +23,7 @@ from typing import Final
 
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case, seal
+from benchmarks.blind_trial.free_positions import DESIGN, NOISE_G
 from benchmarks.blind_trial.known import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPAIRED
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.noises import NOISES
@@ -38,6 +39,7 @@ from benchmarks.blind_trial.score import (
     tally,
 )
 from benchmarks.blind_trial.slips import SLIPS
+from benchmarks.blind_trial.supply import SUPPLIED
 from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
 
 MANY_RHO: Final = 2.3
@@ -56,6 +58,14 @@ KNOWN_ROWS: Final = (
     Row(COMMON_VOLTS, "reordered", 12),
     Row(HAND_SET, "six"),
     Row(REPAIRED, rho=20),
+)
+FREE_ROWS: Final = (
+    *(Row(kind, DESIGN, noise_v=NOISE_G) for kind in ("free:null", "free:null records", "free:outlier")),
+    *(
+        Row(f"free:{of}", DESIGN, rho, NOISE_G)
+        for of in ("zeros", "drift", "warm_up", "square", "cube", "temperature")
+        for rho in (12, 25)
+    ),
 )
 FULL: Final[tuple[Row, ...]] = (
     Row("null", count=800),
@@ -87,6 +97,8 @@ FULL: Final[tuple[Row, ...]] = (
     *(Row("mounting_roll", rho=rho) for rho in (10, 20)),
     *(Row(f"mistake:{name}") for name in MISTAKES),
     *KNOWN_ROWS,
+    *(Row(kind, rho=rho) for kind in SUPPLIED for rho in (8, 20)),
+    *FREE_ROWS,
     Row("single", rho=MANY_RHO * 20**0.5),
     *(Row("null", runs=20, blocks=blocks) for blocks in (False, True)),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks) for blocks in (False, True)),
@@ -107,6 +119,8 @@ SHORT: Final[tuple[Row, ...]] = (
     *(Row(kind, "return" if kind in RETURNS else "paper", 30, count=5) for kind in SLIPS),
     *(Row(f"mistake:{name}", count=5) for name in MISTAKES),
     *(replace(row, count=5) for row in KNOWN_ROWS),
+    *(replace(row, count=3) for row in FREE_ROWS if row.rho != 12),
+    *(Row(kind, rho=20, count=5) for kind in SUPPLIED),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=4) for blocks in (False, True)),
 )
 

@@ -14,10 +14,12 @@ from scipy.stats import binomtest, chi2
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
 from benchmarks.blind_trial.closing import true_closing
 from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
+from benchmarks.blind_trial.free_positions import FREE, judge_free
 from benchmarks.blind_trial.known import KNOWN, judge_known
 from benchmarks.blind_trial.outside_effects import WITHOUT_MEAN
 from benchmarks.blind_trial.signals import U0, K
 from benchmarks.blind_trial.slips import SLIPS
+from benchmarks.blind_trial.supply import SUPPLIED, judge_supply
 from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
 
 Diagnosis = dict[str, Any]
@@ -137,6 +139,8 @@ def _judge_kind(
 ) -> Marks:
     verdict = diagnosis["verdict"]
     kind = answer.kind.split(":")[0]
+    if answer.kind in FREE:
+        return judge_free(answer.kind, answer.names[0] if answer.names else "", diagnosis)
     if kind == "null":
         return {"agrees": verdict == "agrees"}
     if kind == "hidden":
@@ -151,14 +155,31 @@ def _judge_kind(
             f"flagged unknown{apart}": verdict == "unknown",
             f"given a single name{apart}": verdict == "named",
         }
+        if likeness is not None:
+            marks |= _lone_name(answer, likeness(answer), verdict)
         return marks | _judge_form(case, answer, diagnosis)
     if answer.kind in KNOWN:
         return judge_known(answer.kind, answer.names, diagnosis)
     if answer.kind in SLIPS:
         return _judge_slip(answer, diagnosis)
+    if answer.kind in SUPPLIED:
+        return judge_supply(answer.kind, diagnosis)
     if kind == "pair":
         return _judge_pair(answer, diagnosis)
     return _judge_single(case, answer, diagnosis, can_tell)
+
+
+def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
+    """Say whether a single name was given where the nearest member leaves this much, units of noise."""
+    left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
+    if left < SOME_LEFT:
+        return {}
+    words = f"{MUCH_LEFT:g} or more" if left >= MUCH_LEFT else f"{SOME_LEFT:g} to {MUCH_LEFT:g}"
+    return {f"given a single name that leaves {words}": verdict == "named"}
+
+
+SOME_LEFT: Final = 4.0
+MUCH_LEFT: Final = 7.0
 
 
 def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:

@@ -11,13 +11,18 @@ from pydantic import BaseModel
 
 from bench.devices.device import Device, Role
 from bench.devices.registry import devices
+from bench.devices.supplies import SupplyForm
 from docs.generators.forms import anchor
 from docs.generators.markdown import code, prose
+from drivers.interfaces import OutputLimits, SupplyLimits
 
 _ROLES: Final[dict[Role, str]] = {
     "voltmeter": "Voltmeters",
     "head": "Dividing heads",
     "chamber": "Thermal chambers",
+    "level": "Levels",
+    "thermometer": "Thermometers at the block",
+    "power_supply": "Power supplies",
 }
 _RESOURCES: Final = (
     ("GPIB", "GPIB"),
@@ -83,6 +88,8 @@ def _facts(device: Device, facts: ModuleType | None) -> Iterator[tuple[str, str]
         values = getattr(facts, name, None)
         if values:
             yield told, ", ".join(f"{value:g}" for value in values) + unit
+    if issubclass(device.section, SupplyForm) and facts is not None:
+        yield from _outputs(facts)
     most = getattr(facts, "MEMORY_READINGS", None)
     if most is not None:
         least = getattr(facts, "LEAST_SAMPLES", 1)
@@ -92,6 +99,23 @@ def _facts(device: Device, facts: ModuleType | None) -> Iterator[tuple[str, str]
     source = _source(facts)
     if source:
         yield "source", source
+
+
+def _outputs(facts: ModuleType) -> Iterator[tuple[str, str]]:
+    """Yield what the outputs of each model can do."""
+    for model in facts.OUTPUTS:
+        limits = SupplyLimits.of(facts, model)
+        told = "; ".join(f"{code(name)} {_range(output)}" for name, output in limits.outputs.items())
+        yield f"outputs of the {model}", told + (", one switch for all" if limits.together else "")
+
+
+def _range(output: OutputLimits) -> str:
+    protection = output.over_voltage_v
+    protected = "no over-voltage protection"
+    if protection is not None:
+        protected = f"over-voltage protection up to {max(protection, key=abs):g} V"
+    low_v, high_v = output.voltage_v
+    return f"{low_v:g} to {high_v:g} V, up to {output.current_a[1]:g} A, {protected}"
 
 
 def _wires(device: Device) -> list[str]:

@@ -30,6 +30,20 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "range_v": ("V", "range of the meter"),
     "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
+    "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),
+    "chamber_c": ("°C", "air of the chamber, beside it"),
+    "alpha1_arcsec": ("″", "tilt of the shaft's axis in this mounting, as a level showed it"),
+    "alpha2_arcsec": ("″", "as `alpha1_arcsec`, about the shaft: what the head's zero is off the vertical"),
+    "u_alpha1_arcsec": ("″", "standard uncertainty of `alpha1_arcsec`"),
+    "u_alpha2_arcsec": (
+        "″",
+        "standard uncertainty of `alpha2_arcsec`; the four stand together or not at all",
+    ),
+    "drift_alpha1_arcsec_h": (
+        "″/h",
+        "how fast the platform tilted along the shaft, where the level was read again; the same in all rows",
+    ),
+    "drift_alpha2_arcsec_h": ("″/h", "as `drift_alpha1_arcsec_h`, about the shaft"),
 }
 """What each column means; `page` refuses to be written where the reader knows others."""
 
@@ -50,6 +64,10 @@ V,1,1,44.999722222,-0.990108,0.909860,-1.927747
 Columns stand in any order, in small or large letters. Unknown columns are kept and ignored, with a note.
 Every row that cannot be read is listed with file, line, column and what was expected, and nothing is
 computed until it is mended or left out with `--skip-bad-rows`.
+
+Of each rail that feeds the block there may be three columns: `rail_NAME_v` and `rail_NAME_a`, what was measured,
+in V and A, and `rail_NAME_nominal_v`, from which the effect `supply_sensitivity` counts; empty where nothing was
+measured.
 
 A text in an unknown column, or its name, that begins like a formula (`=`, `+`, `-`, `@`, a tab or a line end)
 is exported with an apostrophe in front, so that a spreadsheet keeps it as text; control characters are exported

@@ -253,6 +253,10 @@ class Replay(Connection):
             self._remark = f" (the reply of line {reply.line} was not read)"
         return reply.data + self._read_end, reply.data.endswith(b"\n")
 
+    def take_all(self) -> bytes:
+        """Take a reply that is logged with its end; otherwise as `take`."""
+        return self.take()[0].removesuffix(self._read_end)
+
     def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:
         """Nothing comes late."""
         return True

@@ -44,7 +44,8 @@ class MessageSession:
 
     `name` is the instrument's name on the bench, `resource` a VISA resource string, or for an instrument
     behind a GPIB adapter one such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` hold
-    for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves.
+    for sockets and serial ports; GPIB, USB and VXI-11 mark the end of a message themselves. `read_tail` bytes of
+    any value, a check sum, follow the termination of each reply, which is then given whole, a character a byte.
     In `haste` no reply is waited for longer than that allows. While it is open it is held by `holding`.
     Safe to use from several threads; give one resource to one session only.
     """
@@ -57,6 +58,7 @@ class MessageSession:
         timeout_s: float = 3.0,
         read_termination: str = "\n",
         write_termination: str = "\n",
+        read_tail: int = 0,
         serial: SerialSettings | None = None,
         wire: Wire | None = None,
         haste: Haste | None = None,
@@ -68,6 +70,7 @@ class MessageSession:
         self.serial = serial or SerialSettings()
         self._read_termination = read_termination
         self._write_termination = write_termination
+        self._read_tail = read_tail
         self._wire = wire
         self._haste = haste or Haste()
         self._holding = holding
@@ -264,19 +267,23 @@ class MessageSession:
             data = self._read_line(connection, command, allowed_s)
         else:
             data = connection.take_message(self._haste.limited_s(allowed_s))
-        reply = _text(data).rstrip("\r\n")
+        reply = _text(data) if self._read_tail else _text(data).rstrip("\r\n")
         self._log("<", reply)
-        return reply
+        return data.decode("latin-1") if self._read_tail else reply
 
     def _read_line(self, connection: Connection, command: str, allowed_s: float) -> bytes:
         end = self._read_termination[-1:].encode("ascii")
         begun_s = self._clock.now_s()
         data = b""
-        while not data.endswith(end):
+        while not self._whole(data, end):
             if len(data) > _MAX_REPLY_BYTES or not self._comes(connection, begun_s, allowed_s):
                 raise self._incomplete(command, data, self._haste.limited_s(allowed_s))
-            chunk, more = connection.take()
-            data += chunk
+            if self._read_tail:
+                chunk = connection.take_all()
+                data, more = data + chunk, self._behind(data + chunk, end) > 0
+            else:
+                chunk, more = connection.take()
+                data += chunk
             if not chunk:
                 self._log("<", _text(data))
                 raise self._closed(f"at {command}" + (f" after {_shown(_text(data))}" if data else ""))
@@ -288,6 +295,14 @@ class MessageSession:
                     "take it again, and check that no other program uses the instrument",
                 )
         return data
+
+    def _whole(self, data: bytes, end: bytes) -> bool:
+        return self._behind(data, end) >= 0 if self._read_tail else data.endswith(end)
+
+    def _behind(self, data: bytes, end: bytes) -> int:
+        """Return how many bytes stand behind a reply with a tail; negative where it has not all come."""
+        at = data.find(end)
+        return -1 if at < 0 else len(data) - at - len(end) - self._read_tail
 
     def _comes(self, connection: Connection, begun_s: float, allowed_s: float) -> bool:
         """Wait for bytes, in slices, so that haste is heard; False when none came in time."""

@@ -10,9 +10,10 @@ import json
 import math
 import re
 import shlex
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from sim.wires.faults import Fault
+from sim.world.rails import DISTURBANCES, Disturbance
 from sim.world.turning import HeadFault
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from sim.bench import SimulatedBench
     from sim.wires.pty import TerminalServer
     from sim.wires.server import TcpServer
+    from sim.world.rails import DisturbanceKind
 
 HELP: Final = {
     "state": "what is true: angle, installation, temperatures, time, faults",
@@ -34,6 +36,8 @@ HELP: Final = {
     "drop|refuse|accept|power-cycle|local INSTRUMENT": "do it at once",
     "head stuck [ANGLE] | head off ANGLE | head away | head ok": "a motorised head sticks, stops beside, runs away",
     "chamber-off DIFFERENCE": "the chamber's controller misses its demand: 3 degC; 0 mends it",
+    "rail KIND [OUTPUT] [size=SIZE] [seconds=TIME]": "disturb what feeds the block: sag, drift, load, "
+    "open, off, cut",
     "help": "this list",
 }
 
@@ -68,6 +72,7 @@ class BenchControl:
             "chamber": self._chamber,
             "chamber-off": self._chamber_off,
             "head": self._head,
+            "rail": self._rail,
             "fault": self._fault,
             "clear": self._clear,
             "help": lambda _words: {"commands": HELP},
@@ -158,6 +163,28 @@ class BenchControl:
                     "say head stuck, head stuck 10 deg, head off 30 arcsec, head away, or head ok"
                 )
         self._bench.world.head_fault = fault
+
+    def _rail(self, words: list[str]) -> None:
+        """Disturb the outputs that feed the block, or one of them: `sag P25V size=0.3 seconds=20`."""
+        named = [word for word in words if "=" not in word]
+        values = dict(word.split("=", 1) for word in words if "=" in word)
+        if not 1 <= len(named) <= 2 or named[0] not in DISTURBANCES or values.keys() - {"size", "seconds"}:
+            kinds = "; ".join(f"{kind}: {what}" for kind, what in DISTURBANCES.items())
+            raise ControlError(
+                f"say rail off P25V, rail sag P25V size=0.3 seconds=20, rail cut seconds=60 ({kinds})"
+            )
+        world = self._bench.world
+        if not world.power.outputs():
+            raise ControlError("no supply feeds the block of this bench")
+        world.power.disturb(
+            Disturbance(
+                cast("DisturbanceKind", named[0]),
+                world.clock.now_s(),
+                named[1] if len(named) == 2 else "",
+                float(values.get("size", "0")),
+                float(values.get("seconds", "inf")),
+            )
+        )
 
     # --- faults -------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from drivers.clock import Clock, SystemClock
 from sim.wires.session import DROP, SILENCE, LineEnds, WireFault, line_ends_of
-from sim.world.world import keyed_generator
+from sim.world.chance import keyed_generator
 
 if TYPE_CHECKING:
     import numpy as np

@@ -34,11 +34,14 @@ class LineEnds:
     """How the lines of an instrument end: each of `messages` ends a message, `reply` is sent after each reply.
 
     Where `reply` is None the wire has its own. A CR before an LF that ends a message is dropped; of the bytes
-    around other ends none is.
+    around other ends none is. Where `frame` is given it makes of a reply what is sent. Where ETX is a character
+    as any other it is no device clear: `clears` is False.
     """
 
     messages: tuple[bytes, ...] = (TERMINATOR,)
     reply: bytes | None = None
+    frame: Callable[[bytes], bytes] | None = None
+    clears: bool = True
 
 
 class Dialect(Protocol):
@@ -168,7 +171,8 @@ class Overflow:
 class Framer:
     """Cuts messages at one of `ends`, a CR before LF dropped. A device clear discards what came before it."""
 
-    def __init__(self, ends: tuple[bytes, ...] = (TERMINATOR,)) -> None:
+    def __init__(self, ends: tuple[bytes, ...] = (TERMINATOR,), *, clears: bool = True) -> None:
+        self._clears = clears
         longest_first = sorted(ends, key=len, reverse=True)
         self._end = re.compile(b"|".join(map(re.escape, longest_first)))
         self._buffer = bytearray()
@@ -181,12 +185,12 @@ class Framer:
     @property
     def device_clear_pending(self) -> bool:
         """Whether a device clear has come in and was not taken yet."""
-        return DEVICE_CLEAR in self._buffer
+        return self._clears and DEVICE_CLEAR in self._buffer
 
     def take(self) -> bytes | Overflow | None:
         """Return the next message, `DEVICE_CLEAR`, an `Overflow`; None when no message is complete."""
         _, clear, after = self._buffer.rpartition(DEVICE_CLEAR)
-        if clear:
+        if clear and self._clears:
             self._buffer = after
             self._too_long = False
             return DEVICE_CLEAR
@@ -287,8 +291,9 @@ class Session:
         self._silent_since_s: float | None = None
         self._left = False
         ends = line_ends_of(instrument.dialect)
-        self._framer = Framer(ends.messages)
-        self._terminator = transport.terminator if ends.reply is None else ends.reply
+        self._framer = Framer(ends.messages, clears=ends.clears)
+        terminator = transport.terminator if ends.reply is None else ends.reply
+        self._framed = ends.frame or (lambda reply: reply + terminator)
 
     def has_work(self) -> bool:
         """Whether this session works, or has input to work on. The input is looked at first: see `run`."""
@@ -359,10 +364,10 @@ class Session:
     def _answer(self, reply: bytes | None, fault: WireFault | None) -> bool:
         if fault is None:
             if reply is not None:
-                self._transport.send(reply + self._terminator, self._interrupted)
+                self._transport.send(self._framed(reply), self._interrupted)
             return True
         if self._in_time(fault.delay_s):
-            data = fault.raw + b"".join(line + self._terminator for line in fault.lines)
+            data = fault.raw + b"".join(self._framed(line) for line in fault.lines)
             if data:
                 self._transport.send(data, self._interrupted)
         if fault.refuse:

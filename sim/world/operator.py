@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 from bench.base.arrays import ARCSEC
 from drivers.interfaces import Answer, MountBlock, NoAnswer, Prompt, PromptKind
-from sim.world.world import keyed_generator
+from sim.world.chance import keyed_generator
+from sim.world.panel import work_supply
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,7 +26,8 @@ class OperatorSettings:
 
     The head is set to the target within a normal `setting_deviation_rad`, to a whole step of the scale,
     `resolution_rad`. A turn takes a uniform time within `turn_time_s`, a mounting `mount_time_s`, any other
-    task `task_time_s`, a second look at the scale `second_look_s`. `slip_probability` is that of a classic
+    task `task_time_s`, a second look at the scale `second_look_s`, one at a display
+    `display_time_s`. `slip_probability` is that of a classic
     slip in what is typed (1°, 10′ or 1′ off) while the head stands right.
     """
 
@@ -35,6 +37,7 @@ class OperatorSettings:
     mount_time_s: float = 1200.0
     task_time_s: float = 30.0
     second_look_s: float = 15.0
+    display_time_s: float = 10.0
     slip_probability: float = 0.01
 
     def __post_init__(self) -> None:
@@ -77,6 +80,22 @@ class ScriptedOperator:
             self._pass_time(self._settings.task_time_s)
             self._world.select_input(action["source"], action.get("reference_v"))
             text = _confirmation(prompt)
+        elif action["do"] == "place_level":
+            self._pass_time(self._settings.task_time_s)
+            self._world.place_level(turned=action["turned"])
+            text = _confirmation(prompt)
+        elif action["do"] == "read_level":
+            self._pass_time(self._settings.task_time_s)
+            self._world.place_level(turned=action["turned"])
+            divisions = self._world.level_shows_rad(action["axis"]) / action["division_rad"]
+            text = f"{divisions:.1f}"
+        elif action["do"] == "level_platform":
+            self._pass_time(self._settings.mount_time_s)
+            self._world.level_platform(action["installation"], action["series"])
+            text = _confirmation(prompt)
+        elif action["do"] in ("set_supply", "switch_supply", "read_supply"):
+            self._pass_time(self._settings.display_time_s)
+            text = work_supply(self._world, action) or _confirmation(prompt)
         else:
             text = _default(prompt)
         return Answer(prompt.id, text)

@@ -41,7 +41,8 @@ class Pose:
 class Visit(NamedTuple):
     """A pose at a time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
 
-    `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered.
+    `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered; `on_s` is how long the block
+    has had power, None where that is not told, `supply_v` the voltage of each rail less its nominal one, V.
     """
 
     pose: Pose
@@ -49,6 +50,8 @@ class Visit(NamedTuple):
     elapsed_s: float
     block_c: float
     scan: tuple[int, ...] = (0, 1, 2)
+    on_s: float | None = None
+    supply_v: tuple[float, ...] = ()
 
 
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
@@ -57,6 +60,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
     What is at the inputs in place of the block's signals shows the effects of the meters alone.
     """
     poses = [visit.pose for visit in visits]
+    on_s = np.array([np.nan if visit.on_s is None else visit.on_s for visit in visits])
     conditions = Conditions.of(
         [pose.installation for pose in poses],
         [visit.pose.turn.angle_rad(visit.time_s) for visit in visits],
@@ -65,9 +69,20 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
         time_s=[visit.elapsed_s for visit in visits],
         temperature_c=[visit.block_c for visit in visits],
         scan_order=[visit.scan for visit in visits],
+        on_s=on_s if any(visit.on_s is not None for visit in visits) else None,
+        supply_v=_supply_v(visits),
     )
     first = [int(np.argmax(conditions.mount == mount)) for mount in range(len(conditions.mounts))]
     stand_rad = np.stack([poses[row].stand_rad for row in first])
     setting_rad = np.array([pose.setting_error_rad for pose in poses])
     voltage_v = np.array([[np.nan if pose.input_v is None else pose.input_v] * 3 for pose in poses])
     return model.readings_in_order(block, conditions, stand_rad, setting_rad, voltage_v=voltage_v)
+
+
+def _supply_v(visits: Sequence[Visit]) -> Floats | None:
+    """Return the voltages of the rails less their nominal ones, shape (n, rails), NaN where a visit has none."""
+    rails = max((len(visit.supply_v) for visit in visits), default=0)
+    if not rails:
+        return None
+    unknown = (float("nan"),) * rails
+    return np.array([visit.supply_v or unknown for visit in visits])

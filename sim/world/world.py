@@ -1,26 +1,23 @@
-"""The physical truth of a simulated bench: head, block, temperature. It holds no instrument state.
-
-Random numbers never come from one running generator: each is derived from the seed, what it is for, and
-the step of the procedure that needs it. A world that is set up again in a new process therefore draws the
-very same numbers for the same step, whatever happened before.
-"""
+"""The physical truth of a simulated bench: head, block, temperature, power. It holds no instrument state."""
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from bisect import bisect_right
-from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import STAND_ANGLES, Distribution, stand_errors
+from sim.world.chance import KeyedNumbers
 from sim.world.heat import Heat
 from sim.world.inputs import Terminals
+from sim.world.levelling import LevelSettings, platform_tilt_rad
 from sim.world.pose import Pose, Visit, readings_of
+from sim.world.power import Power, dead_v
+from sim.world.rails import PowerSettings
 from sim.world.turning import HeadFault, HeadTurn
 
 if TYPE_CHECKING:
@@ -28,7 +25,7 @@ if TYPE_CHECKING:
 
     from bench.model import Block, ForwardModel
     from drivers.clock import Clock
-    from drivers.interfaces import Channel, Direction
+    from drivers.interfaces import Channel, Direction, LevelAxis
 
 
 SETTING_ERROR: Final = "setting_error"
@@ -37,12 +34,6 @@ STAND_NAMES: Final = (*STAND_ANGLES, SETTING_ERROR, VOLTMETER_ERROR)
 
 _NO_ERROR: Final = Distribution(0.0)
 _CACHED_SIGNALS: Final = 4096
-
-
-def keyed_generator(seed: int, *key: object) -> np.random.Generator:
-    """Return the generator that belongs to `seed` and `key`; equal arguments give equal numbers."""
-    text = "\x1f".join(str(part) for part in (seed, *key))
-    return np.random.default_rng(np.frombuffer(hashlib.sha256(text.encode()).digest(), dtype=np.uint32))
 
 
 @dataclass(frozen=True)
@@ -54,7 +45,7 @@ class WorldSettings:
     "voltmeter_error" (V, drawn for each reading of each channel); a name left out is zero.
     `ambient_c` is the room; `block_time_constant_s` is the lag of the block behind the chamber. A chamber
     with a controller takes its air along at `chamber_rate_c_s` behind a lag of `chamber_lag_s`, and back to
-    the room with `chamber_off_lag_s` when it is switched off.
+    the room with `chamber_off_lag_s` when it is switched off. A block without rails in `power` always has power.
     """
 
     block: Block
@@ -66,6 +57,8 @@ class WorldSettings:
     chamber_rate_c_s: float = 4.0 / 60.0
     chamber_lag_s: float = 120.0
     chamber_off_lag_s: float = 3600.0
+    level: LevelSettings = field(default_factory=LevelSettings)
+    power: PowerSettings = field(default_factory=PowerSettings)
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for a stand error that the world does not know."""
@@ -74,7 +67,7 @@ class WorldSettings:
             raise ValueError(f"not a stand error: {', '.join(unknown)}; known are {', '.join(STAND_NAMES)}")
 
 
-class World:
+class World(KeyedNumbers):
     """The bench as it really is: what the head's scale cannot show and the meters only look at.
 
     `began_s` is the clock's time at which the world began (0 for a virtual clock; a world on the system's
@@ -85,9 +78,7 @@ class World:
         self.settings = settings
         self.clock = clock
         self.began_s = began_s
-        self._lock = threading.RLock()
-        self._step: str | None = None
-        self._counts: Counter[tuple[str, ...]] = Counter()
+        super().__init__(settings.seed, threading.RLock())
         self._voltmeter_error_v: dict[Channel, float] = dict.fromkeys(CHANNELS, 0.0)
         self._signals: dict[object, Floats] = {}
         self._stands_rad: dict[tuple[str, int], Floats] = {}
@@ -96,39 +87,14 @@ class World:
         self._chamber_demand_c: float | None = None
         self._chamber_offset_c = 0.0
         self.head_fault = HeadFault()
+        self.power = Power(settings.power, now_s, self.block_c_at, self._lock)
         installation = next(iter(settings.model.installations))
         stand_rad = self._stand_rad(installation, 1)
         at_zero = HeadTurn(now_s, 0.0, 0.0)
         self._poses = [Pose(now_s, installation, 1, stand_rad, at_zero, 0.0, None, 0.0)]
         self._read: list[Visit] = []
-        self._told_scan: tuple[int, ...] = ()
+        self._level_turned = False
         self._triggered: dict[int, tuple[int, ...]] = {}
-
-    # --- random numbers -----------------------------------------------------------------------------
-
-    def begin_step(self, key: str, scan: tuple[int, ...] = ()) -> None:
-        """From now on key random numbers by this step of the procedure (its attempt included).
-
-        `scan` holds the channels 0, 1, 2 in the order in which it reads them. Where it is not told, it is
-        that of the triggers, which wires of several meters may mix up.
-        """
-        with self._lock:
-            self._step, self._told_scan = key, scan
-            self._counts.clear()
-
-    def random(self, purpose: str, *key: object) -> np.random.Generator:
-        """Return the generator for a purpose within the current step; the same each time it is asked."""
-        return keyed_generator(self.settings.seed, purpose, "step", self._step or "", *key)
-
-    def count(self, *what: str) -> int:
-        """Count an event within the current step; return its number, from 1."""
-        with self._lock:
-            self._counts[what] += 1
-            return self._counts[what]
-
-    def fixed_random(self, purpose: str, *key: object) -> np.random.Generator:
-        """Return the generator for something drawn once for the whole world, such as a meter's gain."""
-        return keyed_generator(self.settings.seed, purpose, "world", *key)
 
     def _draw(self, name: str, generator: np.random.Generator) -> float:
         return self.settings.stand.get(name, _NO_ERROR).draw(generator)
@@ -155,6 +121,17 @@ class World:
         with self._lock:
             stand_rad = self._stand_rad(installation, series)
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
+
+    def level_platform(self, installation: str, series: int) -> None:
+        """Level the platform before a mounting: it stands from now on as it does in that mounting."""
+        with self._lock:
+            stand_rad = self._poses[-1].stand_rad.copy()
+            stand_rad[:2] = self._stand_rad(installation, series)[:2]
+            self._pose_on(stand_rad=stand_rad)
+
+    def place_level(self, *, turned: bool) -> None:
+        """Put the level on the platform, in its first position or half a turn from it."""
+        self._level_turned = turned
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
         """Turn the head until its scale shows `scale_angle_rad`; the true angle differs by a fresh alpha4."""
@@ -253,7 +230,7 @@ class World:
             now_s, pose = self.clock.now_s(), self._poses[-1]
             index, before = CHANNELS.index(channel), self._triggered.get(id(pose), ())
             in_turn = (index,) if index in before else (*before, index)
-            self._triggered[id(pose)] = self._told_scan or in_turn
+            self._triggered[id(pose)] = self.told_scan or in_turn
             if now_s >= pose.turn.arrives_s:
                 if self._read and self._read[-1].pose is pose:
                     self._read.pop()
@@ -349,6 +326,16 @@ class World:
         with self._lock:
             return self._heat.block_c(time_s)
 
+    def level_shows_rad(self, axis: LevelAxis) -> float:
+        """Return what the level on the platform shows now, rad: its own zero and a fresh noise are in it."""
+        with self._lock:
+            visit = self._visit(self._poses[-1], self.clock.now_s())
+            inclined_rad = platform_tilt_rad(visit, self.settings.model)[axis]
+            normal = self.random("level", axis, self.count("level", axis)).standard_normal
+        return self.settings.level.shown_rad(
+            axis, -inclined_rad if self._level_turned else inclined_rad, normal
+        )
+
     def signal_v(self, channel: Channel, time_s: float | None = None) -> float:
         """Return the voltage at a meter's terminals now, or as it was at `time_s` of the clock, V.
 
@@ -359,6 +346,8 @@ class World:
         at_s = self.clock.now_s() if time_s is None else time_s
         with self._lock:
             pose = self._poses[max(0, bisect_right(self._poses, at_s, key=lambda p: p.since_s) - 1)]
+            if pose.input_v is None and not self.power.feeds_block(self._past_s(at_s)):
+                return dead_v(self.settings.power, self, channel, at_s) + self._voltmeter_error_v[channel]
             # Without effects the output at rest depends on the pose alone; an effect may look at time and heat.
             at_rest = at_s >= pose.turn.arrives_s and not self.settings.model.effects
             key = id(pose) if at_rest else (id(pose), at_s, self._scan(pose))
@@ -379,11 +368,24 @@ class World:
         return signals
 
     def _visit(self, pose: Pose, time_s: float) -> Visit:
-        return Visit(pose, time_s, time_s - self.began_s, self.block_c_at(time_s), self._scan(pose))
+        on_since_s = self.power.on_since_s(self._past_s(time_s))
+        return Visit(
+            pose,
+            time_s,
+            time_s - self.began_s,
+            self.block_c_at(time_s),
+            self._scan(pose),
+            None if on_since_s is None else time_s - on_since_s,
+            self.power.above_nominal_v(self._past_s(time_s)),
+        )
+
+    def _past_s(self, time_s: float) -> float:
+        """Return a time up to now: a meter on a bus may be ahead of the bench, whose power nobody foresees."""
+        return min(time_s, self.clock.now_s())
 
     def _scan(self, pose: Pose) -> tuple[int, ...]:
         """Return the channels in the order of the scan; those that nobody triggered yet come after the others."""
-        begun = self._triggered.get(id(pose), self._told_scan)
+        begun = self._triggered.get(id(pose), self.told_scan)
         return (*begun, *(index for index in range(len(CHANNELS)) if index not in begun))
 
     def terminals(self, channel: Channel) -> Terminals:

@@ -7,6 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import bench as program
+from bench.analysis.diagnosis.full import TooLittleLeft
+from bench.analysis.mistakes.search import Mistake
+from bench.api.source import Request, load_sources
+from bench.cli.diagnose import told
 from bench.files.model import load_model
 from bench.readings.csv import write_csv
 from tests.support.diagnosis_bench import paper_run
@@ -268,3 +273,50 @@ def test_a_folder_that_cannot_be_made_costs_the_files_and_not_the_result(bench):
     status, _, err = bench("diagnose", name, "--no-report", "--out", "diagnose")
     assert status == 2
     assert "diagnose" in err
+
+
+@pytest.mark.slow
+def test_of_several_blocks_all_are_told(bench):
+    """Scale factors 1 % apart: coefficients of both stand in the terminal and on the page, each its own."""
+    write_csv(paper_run(np.random.default_rng(21)), Path("first.csv"))
+    other = paper_run(np.random.default_rng(22))
+    write_csv(replace(other, signal=other.signal * 1.01), Path("second.csv"))
+    status, out, _ = bench("diagnose", "first.csv", "second.csv", "--together", "--json", "d.json")
+    assert status == 0
+    found = result_of("d.json")
+    table = out[out.index("Coefficients of each block") :].splitlines()
+    assert [line.split(":")[0] for line in table[2:4]] == ["1", "2"]
+    assert len(found["blocks"]) == 2
+    page = Path(found["report"]).read_text(encoding="utf-8")
+    for number in (1, 2):
+        assert f"Block {number}: mountings" in page
+    of_each = [block["coefficients"]["Kxx"]["after"] for block in found["blocks"]]
+    assert of_each[1] / of_each[0] == pytest.approx(1.01, abs=1e-4)
+    both = program.diagnose(["first.csv", "second.csv"], one_block=False)
+    assert [block["coefficients"]["Kxx"]["after"] for block in both.to_dict()["blocks"]] == of_each
+
+
+def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
+    name = measured("r.csv", 23)
+    (source,) = load_sources(Request([name], Path("runs")))
+    mistake = Mistake("other_mounting", (), ("1",), None, None, "it sat otherwise", 1e-9, ())
+    left = source.readings.select(np.arange(len(source.readings)) < 5)
+    told(TooLittleLeft((mistake,), "5 readings are too few", left, simulated=False), source, "m.json")
+    result = result_of("m.json")
+    assert result["corrected"] | {"rests_on": []} == {
+        "readings": "diagnose/r-corrected.csv", "used": 5, "verdict": None, "rests_on": [],
+    }  # fmt: skip
+    assert len(load_sources(Request(["diagnose/r-corrected.csv"], Path("runs")))[0].readings) == 5
+
+
+def test_the_simulated_bench_refuses_what_it_cannot_have(bench):
+    Path("slip.yaml").write_text(
+        "model_file: 1\nname: slip\neffects:\n"
+        "  - name: quadratic_nonlinearity\n    installations: ['1 pass 2']\n"
+        "    parameters: {K2: 50 ug/g^2}\n",
+        encoding="utf-8",
+    )
+    status, _, err = bench("run", "quick", "--dry-run", "--name", "s", "--model", "slip.yaml")
+    assert status == 2
+    assert "quadratic_nonlinearity of 1 pass 2: the simulated bench has effects of whole mountings" in err
+    assert not Path("runs/s").exists()

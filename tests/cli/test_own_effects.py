@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import bench as face
-from bench.api.execution import simulated_truth
 from bench.api.own_effects import knowing_effects_on_record
+from bench.api.simulated_truth import simulated_truth
 from bench.files.bench.file import FileMistakes, load_bench
 from bench.files.formulas import load_effects
 from bench.model import CATALOGUE

@@ -17,7 +17,10 @@ from bench.assembly.served import served_bench
 from bench.base.forms import FileMistakes
 from bench.devices.chambers import ChamberTruth
 from bench.devices.heads import HeadTruth
+from bench.devices.levels import LevelTruth
 from bench.devices.registry import devices
+from bench.devices.supplies import SupplyTruth
+from bench.devices.thermometers import ThermometerTruth
 from bench.devices.voltmeters import VoltmeterTruth
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
@@ -29,14 +32,31 @@ from drivers.interfaces import (
     Identity,
     InstrumentLost,
     InstrumentRefused,
+    Level,
+    PowerSupply,
     SelfTesting,
     ThermalChamber,
+    Thermometer,
     Voltmeter,
 )
 from tests.support.instrument_stand import Mute, answering, bench_data, known, standing, written_bench
 
-PROTOCOLS = {"voltmeter": Voltmeter, "head": DividingHead, "chamber": ThermalChamber}
-TRUTHS = {"voltmeter": VoltmeterTruth, "head": HeadTruth, "chamber": ChamberTruth}
+PROTOCOLS = {
+    "voltmeter": Voltmeter,
+    "head": DividingHead,
+    "chamber": ThermalChamber,
+    "level": Level,
+    "thermometer": Thermometer,
+    "power_supply": PowerSupply,
+}
+TRUTHS = {
+    "voltmeter": VoltmeterTruth,
+    "head": HeadTruth,
+    "chamber": ChamberTruth,
+    "level": LevelTruth,
+    "thermometer": ThermometerTruth,
+    "power_supply": SupplyTruth,
+}
 SHORT, LONG = "0.05 s", "60 s"
 """Timeouts in real time: of one that never answers, and of one that always does, however slow the machine."""
 
@@ -88,8 +108,7 @@ def test_the_simulation_is_served_and_looked_at_live(bench, tmp_path, device):
             *zip(
                 data["instruments"]["voltmeters"], [m.name for m in file.instruments.voltmeters], strict=True
             ),
-            (data["instruments"]["head"], file.instruments.head.name),
-            (data["instruments"]["chamber"], file.instruments.chamber.name),
+            *((data["instruments"][s.role], s.name) for s in file.instruments.all() if s.role != "voltmeter"),
         ):
             if name in places:
                 host, _, port = places[name].rpartition(":")
@@ -162,6 +181,9 @@ def test_one_that_falls_silent_later_is_lost_and_let_go(device, tmp_path):
             "voltmeter": lambda: driver.configure(stand.settings()),
             "head": lambda: driver.move(0.5, 1, "1/turn"),
             "chamber": lambda: driver.temperature("1/read"),
+            "thermometer": lambda: driver.block_c("1/read"),
+            "level": lambda: driver.inclination("1/level", turned=False),
+            "power_supply": lambda: driver.state("1/read"),
         }
         with pytest.raises(BenchError):
             ask[device.role]()

@@ -12,7 +12,8 @@ from tests.support.effect_bench import BLOCK, effect
 NAMES = [
     "quadratic_nonlinearity", "cubic_nonlinearity", "odd_quadratic_nonlinearity", "scale_asymmetry",
     "cross_coupling", "cross_quadratic", "hysteresis", "thermal_bias", "thermal_scale", "warm_up",
-    "bias_drift", "scale_drift", "turn_on_shift", "axis_tilt", "zero_offset", "mounting_error",
+    "bias_drift", "scale_drift", "turn_on_shift", "supply_sensitivity", "axis_tilt", "zero_offset",
+    "mounting_error",
     "mounting_offset", "mounting_roll", "head_eccentricity", "head_ellipticity", "head_graduation",
     "backlash", "axis_wobble", "bracket_tilt", "foundation_tilt", "block_slip", "head_zero_shift",
     "meters_exchanged", "voltmeter_nonlinearity", "voltmeter_drift", "voltmeter_warm_up", "range_offset",
@@ -116,6 +117,7 @@ def rich():
         time_s=time_s,
         temperature_c=20.0 + np.sin(time_s / 2900.0) + 0.4 * np.cos(time_s / 800.0),
         scan_order=np.array([(0, 1, 2), (2, 1, 0), (1, 0, 2)])[np.arange(n) // 12 % 3],
+        supply_v=np.stack([0.1 * np.sin(time_s / k) for k in (1100.0, 1700.0, 2300.0)], axis=1),
     )
     return conditions, np.zeros((len(conditions.mounts), 5))
 

@@ -59,6 +59,10 @@ CASES = {
     "thermal_bias": ({"b_T": C}, KII * C * KELVIN),
     "thermal_scale": ({"k_T": C}, KII * A * C * KELVIN),
     "warm_up": ({"A": C, "tau": 1800.0}, KII * C * np.exp(-HOURS / 0.5)),
+    "supply_sensitivity": (
+        {"b_S": C, "k_S": D, "rail": 2.0},
+        KII * (C + D * A) * (-0.1 + 0.05 * np.sin(TIME_S / 700.0))[:, None],
+    ),
     "bias_drift": ({"rate": C / 3600}, KII * C * HOURS),
     "scale_drift": ({"rate": C / 3600}, KII * A * C * HOURS),
     "turn_on_shift": ({"step": C}, np.tile(KII * C, (36, 1))),

@@ -171,8 +171,8 @@ def test_an_unknown_key_of_nested_steps_is_told_with_the_known_ones(mistakes):
     )
     for end in (
         "angels: unknown key 'angels'; did you mean 'angles'? known: angles, direction, first_point, steps",
-        "reed: unknown key 'reed'; did you mean 'read'? known: include, input, installation, prompt, read, "
-        "repeat, settle, temperature, temperatures, turn, wait",
+        "reed: unknown key 'reed'; did you mean 'read'? known: include, input, installation, level, power, "
+        "prompt, read, repeat, settle, temperature, temperatures, turn, wait",
         "fore: unknown key 'fore'; did you mean 'for'? known: for, reason",
     ):
         assert any(mistake.endswith(end) for mistake in told), (end, told)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sim.agilent_34401a.meter import Agilent34401A
+from sim.world.chance import keyed_generator
 from sim.world.clock import VirtualClock
-from sim.world.world import keyed_generator
 
 
 class Bench:

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.agilent_34401a.meter import Agilent34401A
+from sim.world.chance import keyed_generator
 from sim.world.clock import VirtualClock
-from sim.world.world import keyed_generator
 
 READING = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d")
 NO_ERROR = '+0,"No error"'

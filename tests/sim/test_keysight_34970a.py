@@ -10,8 +10,9 @@ from drivers.keysight_34970a.driver import Keysight34970A as Driver
 from drivers.wire.visa import MessageSession
 from sim.bench import SimulatedBench
 from sim.keysight_34970a.multiplexer import Keysight34970A
+from sim.world.chance import keyed_generator
 from sim.world.clock import VirtualClock
-from sim.world.world import World, WorldSettings, keyed_generator
+from sim.world.world import World, WorldSettings
 
 NO_ERROR = '+0,"No error"'
 XYZ = "(@101:103)"

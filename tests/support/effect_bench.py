@@ -27,6 +27,7 @@ PHI = np.radians(np.tile(np.concatenate([POINTS, POINTS[::-1]]), 2).astype(float
 DIRECTION = np.tile(np.repeat([1, -1], 9), 2)
 TIME_S = 130.0 * np.arange(36) + 2400.0 * SECOND + 7.0 * np.sin(np.arange(36))
 WARMTH_K = 0.6 + 0.4 * np.sin(TIME_S / 1500.0)
+ABOVE_V = np.stack([0.2 * np.cos(TIME_S / 900.0), -0.1 + 0.05 * np.sin(TIME_S / 700.0)], axis=1)
 ORDER = np.where(DIRECTION[:, None] > 0, [0, 1, 2], [2, 1, 0])
 CONDITIONS = Conditions.of(
     LABELS,
@@ -35,6 +36,7 @@ CONDITIONS = Conditions.of(
     time_s=TIME_S,
     temperature_c=20.0 + WARMTH_K,
     scan_order=ORDER,
+    supply_v=ABOVE_V,
 )
 # stand angles of the two mountings: alpha1, alpha2, alpha3, mounting offset, alpha5
 STAND = np.array([[3, -4, 70, 0, 20], [-2, 5, -60, 0, -30]]) * ARCSEC

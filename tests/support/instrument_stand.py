@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 
@@ -34,7 +34,7 @@ SEED = 1
 
 def known(role: Role | None = None, *, wired: bool = True) -> list[Device]:
     """Return the devices there are, plug-ins too: those of a role, those that have a wire."""
-    every = [device for name in ("voltmeter", "head", "chamber") for device in devices().of(name)]
+    every = [device for name in get_args(Role) for device in devices().of(name)]
     return [d for d in every if role in (None, d.role) and (d.simulation is not None or not wired)]
 
 

@@ -66,12 +66,33 @@ def _thermometer(source: ErrorSource, seen: Seen) -> _Patterns:
     return _warmed(source, seen, np.ones(len(seen.signal)))
 
 
+def _supply(source: ErrorSource, seen: Seen) -> _Patterns:
+    """A course that nobody knows, within the limits; of one that was recorded, it and what it is off throughout."""
+    rail, above_v = int((source.factors or {})["rail"]) - 1, seen.conditions.above_nominal_v
+    if source.u > 0 and rail < above_v.shape[1]:
+        courses = [np.ones(len(seen.signal)), (above_v[:, rail] - above_v[:, rail].mean()) / source.u]
+    else:
+        courses = list(_wandering(seen.conditions.elapsed_s).T)
+    return [pattern for course in courses for pattern in _warmed(source, seen, course)]
+
+
+def _turn_on(source: ErrorSource, seen: Seen) -> _Patterns:
+    # all of a run alike: another switching-on of the block moves each bias by as much
+    return [
+        (
+            np.broadcast_to(np.diag(seen.block.K) * source.on_channels, seen.signal.shape),
+            np.arange(3)[None, :],
+        )
+    ]
+
+
 def _warmed(source: ErrorSource, seen: Seen, course: Floats) -> _Patterns:
     # the coefficients' signs are not known, so that bias and scale of each channel move on their own
     factors = source.factors or {}
     group = np.arange(3)[None, :]
     sensed = seen.force @ seen.block.K.T
-    bias = np.broadcast_to(np.diag(seen.block.K), sensed.shape)
+    sensed = sensed * source.on_channels
+    bias = np.broadcast_to(np.diag(seen.block.K) * source.on_channels, sensed.shape)
     return [(factors[of] * acts * course[:, None], group) for of, acts in (("bias", bias), ("scale", sensed))]
 
 
@@ -109,6 +130,8 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, Seen], _Patterns]]] = {
     "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
     "temperature": _temperature,
     "thermometer": _thermometer,
+    "supply_voltage": _supply,
+    "turn_on": _turn_on,
     "K2": _power(2),
     "K3": _power(3),
 }

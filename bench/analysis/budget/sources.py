@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.analysis.budget.meters import Size, linearity_of, size_of
 from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.thermometer import thermometer_size
 from bench.analysis.calibration.design import SYMBOLS, WEAK, EffectUnknown
 from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.devices.voltmeters import VoltmeterForm
@@ -36,6 +37,11 @@ CHAMBER: Final = Distribution(0.5, "rectangular")
 BIAS_PER_K: Final = Distribution(30e-6, "rectangular")
 SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
+BIAS_PER_V: Final = Distribution(20e-6)
+SCALE_PER_V: Final = Distribution(20e-6)
+"""Priors of how a block follows its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""
+TURN_ON: Final = Distribution(20e-6)
+"""Prior of how a bias comes back after it was off, g: 10 to 25 µg of a quartz-flexure accelerometer."""
 K2_PRIOR: Final = Distribution(30e-6)
 K3_PRIOR: Final = Distribution(20e-6)
 """Priors of the nonlinearity of a channel, g/g² and g/g³: the catalogue's plausible sizes, 1 sigma."""
@@ -45,6 +51,7 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
     "rad": ("arcsec", ARCSEC),
     "V": ("µV", 1e-6),
     "1": ("ppm", 1e-6),
+    "g": ("µg", 1e-6),
     "1/g": ("µg/g²", 1e-6),
     "1/g^2": ("µg/g³", 1e-6),
 }
@@ -126,6 +133,8 @@ def hidden_sources(
         *_gravity_source(bench),
         _temperature_source(bench),
         *_thermometer_source(bench),
+        *_supply_sources(bench, model),
+        *_turn_on_source(bench),
         *_nonlinearity_sources(bench, model),
     )
 
@@ -271,14 +280,48 @@ def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """How far the temperature told may be from the true one: all of a run alike."""
-    certificate = getattr(bench.instruments.chamber, "certificate", None)
-    if certificate is not None:
-        worst = max(certificate.values, key=lambda value: value.U / value.k)
-        origin = f"certificate {certificate.number} of {certificate.date}: the largest U, k = {worst.k:g}"
-        source = ErrorSource(
-            "thermometer", "T", "K", Distribution(worst.U, k=worst.k), "run", "scale", origin, worst.dof
-        )
+    size = thermometer_size(bench)
+    if size is not None:
+        source = _sized(ErrorSource("thermometer", "T", "K", size.distribution, "run", "scale", ""), size)
         yield replace(source, factors=_temperature_source(bench).factors)
+
+
+def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
+    """One for each rail, of the channels for which the model does not follow it."""
+    supply, section = bench.unit_under_test.supply, bench.uncertainty
+    sizes = (section.bias_supply_coefficient, section.scale_supply_coefficient)
+    bias, scale = (
+        (prior if size is None else size.to_distribution()).u
+        for size, prior in zip(sizes, (BIAS_PER_V, SCALE_PER_V), strict=True)
+    )
+    for number, rail in enumerate(supply.rails if supply else (), start=1):
+        usual = Distribution(rail.tolerance, "rectangular")
+        source = _stated("", rail.name, "V", "run", section.supply_voltage, usual, "tolerance of the rail")
+        followed = {
+            channel
+            for applied in model.effects
+            if applied.effect.name == "supply_sensitivity"
+            and float(applied.complete_values()["rail"]) == number
+            for channel in applied.channels
+        }
+        left = tuple(channel for channel in CHANNELS if channel not in followed)
+        if left:
+            yield replace(
+                source,
+                name=f"supply_voltage[{rail.name}]",
+                origin=f"{source.origin}; {bias * 1e6:.3g} µg/V and {scale * 1e6:.3g} ppm/V (1σ)",
+                prior=None in sizes,
+                factors={"bias": bias, "scale": scale, "rail": number},
+                channels=left,
+            )
+
+
+def _turn_on_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """How far a bias comes back after the block was off: of one that the bench itself switches, or where stated."""
+    stated = bench.uncertainty.turn_on_repeatability
+    if stated is not None or bench.unit_under_test.supply is not None:
+        origin = "prior: of a quartz-flexure accelerometer"
+        yield _stated("turn_on", "turn-on", "g", "run", stated, TURN_ON, origin)
 
 
 def _nonlinearity_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.budget.coefficients import parts_of
+from bench.analysis.budget.foundation import NAME, Foundation, foundation_of
 from bench.analysis.budget.propagation import effective_dof
 from bench.analysis.budget.setup import meters_of
 from bench.analysis.budget.sources import ROLL_ORIGIN, ErrorSource, assumed_stand, hidden_sources
@@ -95,12 +96,21 @@ def sign(
     of_bench = _acting(calibration, bench, model, day)
     own = tuple(_source(error, taken, calibration.gain) for error in of_bench if error.name != GRAVITY)
     roll = calibration.covariance - calibration.covariance_readings
+    moving = _foundation(readings, bench)
+    if moving is not None:
+        parts = moving.parts(
+            taken.conditions, taken.block, taken.setting_slope, model.installations, calibration.gain
+        )
+        tilts = parts @ parts.T
+        own = (
+            SourceOfError(NAME, "α1, α2", moving.shown, moving.origin, moving.prior, moving.dof, tilts), *own,
+        )  # fmt: skip
     if np.any(np.diag(roll) > 0):
         own = (_roll(bench, roll), *own)
     covariance = calibration.covariance_readings + sum((s.covariance for s in own), np.zeros((12, 12)))
-    parts = [calibration.covariance_readings, *(s.covariance for s in own)]
+    variances = [calibration.covariance_readings, *(s.covariance for s in own)]
     dof = effective_dof(
-        np.stack([np.diag(part) for part in parts], axis=1),
+        np.stack([np.diag(part) for part in variances], axis=1),
         [calibration.noise.reading_dof, *(s.dof for s in own)],
     )
     gravity = [error.u for error in of_bench if error.name == GRAVITY]
@@ -108,6 +118,10 @@ def sign(
         calibration, covariance=covariance, sources=own, dof=dof, gravity_u=gravity[0] if gravity else 0.0,
         notes=(*calibration.notes, *_on_roll(roll, covariance)),
     )  # fmt: skip
+
+
+def _foundation(readings: Readings, bench: BenchFile) -> Foundation | None:
+    return foundation_of(readings, bench, levelled=readings.conditions().level_rad is not None)
 
 
 def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
@@ -200,6 +214,12 @@ def delta_g_covariance(
         if error.name != GRAVITY:
             parts = parts_of(error, taken, functionals)
             whole += parts @ parts.T
+    moving = _foundation(readings, bench)
+    if moving is not None:
+        parts = moving.parts(
+            taken.conditions, taken.block, taken.setting_slope, model.installations, functionals
+        )
+        whole += parts @ parts.T
     return np.asarray(whole)
 
 

@@ -114,6 +114,7 @@ def calibrate(
         outliers=found,
         notes=(
             *_notes_on_rows(readings, chosen, by.name, join_free=join_free),
+            *_on_levels(problem),
             *notes,
             *notes_on_noise(fit.noise, float("nan") if notes else tails, shared, birge, readings.unit),
         ),
@@ -182,6 +183,23 @@ def _notes_on_rows(readings: Readings, chosen: Chosen, estimator: str, *, join_f
         return ()
     why = f"the estimator {estimator} takes oriented readings alone" if join_free else "as asked"
     return (f"{count} free positions do not take part: {why}",)
+
+
+def _on_levels(problem: Problem) -> tuple[str, ...]:
+    """Say which angles of the stand a level showed, and how well."""
+    told = [s for s in problem.stand if s.measured]
+    if not told:
+        return ()
+    mounts = dict.fromkeys(str(problem.conditions.mounts[s.mount]) for s in told)
+    sizes = []
+    for column, symbol in enumerate(("alpha1", "alpha2")):
+        u = [s.prior_u / ARCSEC for s in told if s.column == column]
+        low, high = min(u), max(u)
+        sizes.append(f"{symbol}: {low:.2g}" + (f" to {high:.2g}" if high > 1.05 * low else "") + " arcsec")
+    return (
+        f"a level showed how the platform stood in installation {', '.join(mounts)} (u of {', of '.join(sizes)}); "
+        "that counts in place of the limits in the bench file",
+    )
 
 
 # --- the fit ----------------------------------------------------------------------------------------

@@ -39,11 +39,16 @@ SYMBOLS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class StandUnknown:
-    """A stand angle of one mounting, with the standard deviation of its prior, rad."""
+    """A stand angle of one mounting, with mean and standard deviation of its prior, rad.
+
+    It is `measured` where a level showed it, else the bench file limits it.
+    """
 
     mount: int
     column: int
     prior_u: float
+    prior_mean: float = 0.0
+    measured: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class Problem:
     @property
     def prior_mean(self) -> Floats:
         """Prior means of the unknowns after the coefficients, shape (q,)."""
-        return np.array([0.0] * len(self.stand) + [e.prior_mean for e in self.effects])
+        return np.array([*(s.prior_mean for s in self.stand), *(e.prior_mean for e in self.effects)])
 
     @property
     def prior_u(self) -> Floats:
@@ -248,18 +253,22 @@ def make_problem(
 ) -> Problem:
     """Set up the unknowns: a stand angle is one where its size is not zero, an effect's sizes all are.
 
-    Its shapes (`Parameter.is_shape`) are not: they stay as the model has them.
+    Its shapes (`Parameter.is_shape`) are not: they stay as the model has them. What a level showed of a mounting
+    stands in place of the size that the bench file states.
 
     `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad. The prior of an effect's
     parameter lies about the value in the model with the standard uncertainty stated there, which must come
     from other readings than those to be fitted; where none (or zero) is stated, with `WEAK` times the
     catalogue's plausible size.
     """
+    levels = conditions.levels()
     stand = tuple(
-        StandUnknown(mount, column, stand_u[name])
+        StandUnknown(mount, column, levels[mount, column][1], levels[mount, column][0], measured=True)
+        if (mount, column) in levels
+        else StandUnknown(mount, column, stand_u[name])
         for mount in range(len(conditions.mounts))
         for column, name in enumerate(STAND_ANGLES)
-        if stand_u.get(name, 0.0) > 0
+        if stand_u.get(name, 0.0) > 0 or (mount, column) in levels
     )
     effects = [
         unknown for index, applied in enumerate(model.effects) for unknown in _effect_unknowns(index, applied)

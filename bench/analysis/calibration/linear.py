@@ -30,15 +30,16 @@ def linear_estimate(
     """Return the estimate by a gain (12, n, 3), with the covariance that the errors of the bench give to it.
 
     `fit` is that of generalised least squares on the same readings: it has the noise, and the point at which
-    effects of the model are taken off at their stated values. `shared` (3n, 3n) is the covariance of the readings
-    where it is not that of the noise alone. The misfit stays that of `fit`: a fixed
-    weighting leaves the stand's angles in its residuals, where they would pass for a lack of fit of the model.
+    effects of the model are taken off at their stated values, and the stand's angles as a level showed them.
+    `shared` (3n, 3n) is the covariance of the readings where it is not that of the noise alone. The misfit stays
+    that of `fit`: a fixed weighting leaves the stand's angles in its residuals, where they would pass for a lack
+    of fit of the model.
     """
     others = problem.prior_mean
     taken_off = np.zeros_like(signal)
-    if problem.effects:
+    if np.any(others):
         plain = replace(problem, model=replace(problem.model, effects=()), effects=())
-        still = others[: len(problem.stand)]
+        still = np.zeros(len(problem.stand))
         taken_off = problem.predict(fit.block, others) - plain.predict(fit.block, still)
     block = Block.from_vector(np.einsum("pni,ni->p", gain, signal - taken_off))
     noise, slope = fit.noise.widened(), fit.slope

@@ -13,7 +13,7 @@ from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Mask, least_squares, rms
 from bench.model.block import Block, linear_columns
 from bench.model.geometry import STAND_ANGLES, within_half_turn
-from bench.readings.csv import OVERLOAD
+from bench.readings.numbers import OVERLOAD
 from bench.readings.table import Readings
 
 OTHER_UNITS: Final = {"radians": 180.0 / np.pi, "gon": 0.9, "whole turns": 360.0}

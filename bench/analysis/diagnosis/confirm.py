@@ -6,8 +6,9 @@ readings by the model with them and by the same one without. What is left is com
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.design import FIXED, EffectUnknown
 from bench.analysis.diagnosis.course import diagnose
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
+from bench.analysis.diagnosis.free_result import FreeDiagnosis
 from bench.analysis.diagnosis.gap import BY_CHANCE, FLOOR, LEAST_CLOSED, part_closed, rms
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, whiten_rows
@@ -24,6 +26,7 @@ from bench.analysis.diagnosis.result import Diagnosis, EffectValue
 from bench.analysis.diagnosis.threshold import ThresholdCache
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import AppliedEffect, ForwardModel
+from bench.model.effects.in_part import InPart
 from bench.readings.table import Readings
 
 Word = Literal["confirmed", "changed", "gone"]
@@ -88,13 +91,16 @@ class EffectNow:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """New readings without and with a model's effects; `diagnosis` is that of the readings with it."""
+    """New readings without and with a model's effects; `diagnosis` is that of the readings with it.
+
+    It is a `FreeDiagnosis` where free positions are all there is.
+    """
 
     before: Model
     after: Model
     p_after: float
     effects: tuple[EffectNow, ...]
-    diagnosis: Diagnosis
+    diagnosis: Diagnosis | FreeDiagnosis
 
     @property
     def closed(self) -> float | None:
@@ -185,28 +191,53 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 
 
 def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
-    """Estimate the effects from these readings alone, and compare. Raises `CalibrationError` where none shows."""
-    unknowns, model = linear.problem.effects, linear.model
+    """Estimate the effects from these readings alone, and compare. Raises `CalibrationError` where none shows.
+
+    What the model leaves open of their shapes stays as it states it: these readings alone do not tell it better.
+    """
+    model = linear.model
+    whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
+    unknowns = list(compress(linear.problem.effects, whole))
+    places = np.arange(linear.own.start, linear.own.stop)[np.array(whole, dtype=bool)]
     plausible = np.array([_plausible(model, unknown) for unknown in unknowns])
     found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
     u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
-    own = linear.random[:, linear.own] * (plausible / [unknown.prior_u for unknown in unknowns])
-    free = replace(linear, random=np.delete(linear.random, linear.own, axis=1))
-    change, covariance = _estimated(free, own, found, diagnosis)
+    own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
+    free = replace(linear, random=np.delete(linear.random, places, axis=1))
+    estimated = _estimated(free, own, found, diagnosis)
+    return judged(model, unknowns, Estimated(plausible, found, u, *estimated))
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """Parameters of effects (m,) in plausible sizes: those of the model with u, and `change` to these readings'."""
+
+    plausible: Floats
+    found: Floats
+    u: Floats
+    change: Floats
+    covariance: Floats
+
+
+def judged(model: ForwardModel, unknowns: Sequence[EffectUnknown], of: Estimated) -> tuple[EffectNow, ...]:
+    """Return what became of each effect of a model. Raises `CalibrationError` where none shows."""
+    plausible, found, u, change, covariance = of.plausible, of.found, of.u, of.change, of.covariance
     known = np.sqrt(np.diag(covariance))
     told = known < TOLD * KNOWN_SIZE
     effects, seen = [], []
     for number, applied in enumerate(model.effects):
+        if isinstance(applied.effect, InPart):
+            continue
         mine = np.array([unknown.effect == number for unknown in unknowns], dtype=bool)
         use = np.flatnonzero(mine & told)
-        of = covariance[np.ix_(use, use)]
-        size, least = np.sqrt(_square(found[use], of)), _least(len(use))
-        p_none = _chance(found[use] + change[use], of)
-        p_same = _chance(change[use], of + np.diag(u[use] ** 2))
+        own = covariance[np.ix_(use, use)]
+        size, least = np.sqrt(square(found[use], own)), _least(len(use))
+        p_none = _chance(found[use] + change[use], own)
+        p_same = _chance(change[use], own + np.diag(u[use] ** 2))
         then, now = (
             tuple(
                 _value(model, unknowns[i], sizes[i] * plausible[i], of_u[i] * plausible[i])
-                for i in np.flatnonzero(mine)
+                for i in np.flatnonzero(mine).tolist()
             )
             for sizes, of_u in ((found, u), (found + change, known))
         )
@@ -235,14 +266,14 @@ def _estimated(
     for one in diagnosis.naming.found:
         more = np.column_stack([columns, diagnosis.candidates.columns[:, list(one.variant.columns)]])
         again = posterior(linear, more, diagnosis.noise)
-        seen, beside = (_square(found, fit.amplitude_covariance[:count, :count]) for fit in (fitted, again))
+        seen, beside = (square(found, fit.amplitude_covariance[:count, :count]) for fit in (fitted, again))
         if beside >= STILL_SEEN * seen:
             columns, fitted = more, again
     return fitted.amplitudes[:count], fitted.amplitude_covariance[:count, :count]
 
 
 def _chance(part: Floats, covariance: Floats) -> float:
-    return float(special.chdtrc(len(part), _square(part, covariance))) if len(part) else 1.0
+    return float(special.chdtrc(len(part), square(part, covariance))) if len(part) else 1.0
 
 
 def _word(p_same: float, p_none: float) -> Word:
@@ -256,7 +287,8 @@ def _least(count: int) -> float:
     return float(np.sqrt(special.chdtri(count, BY_CHANCE))) + POWER if count else float("inf")
 
 
-def _square(part: Floats, covariance: Floats) -> float:
+def square(part: Floats, covariance: Floats) -> float:
+    """Return the square of a part of the parameters in units of their noise."""
     return float(part @ np.linalg.solve(covariance, part)) if len(part) else 0.0
 
 

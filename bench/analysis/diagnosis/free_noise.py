@@ -10,7 +10,8 @@ from scipy import stats
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.diagnosis.free_records import FreeRows
-from bench.base.arrays import Floats
+from bench.analysis.diagnosis.noise_grid import NoiseGrid, Whitener
+from bench.base.arrays import Floats, Ints, Mask
 
 OUTLIER: Final = 1e-4
 """Chance, all positions counted, below which one stands apart."""
@@ -19,8 +20,21 @@ FAR: Final = 12.0
 DOUBT: Final = 0.05
 """Chance, all positions counted, below which one is told that stays in."""
 LEAST_FREEDOM: Final = 3
+AT_ONCE: Final = 32
+"""Positions weighed at once; each has noise of its own."""
 MOST_APART: Final = 0.1
 """No more than this part of the positions is left out."""
+
+
+def grid_of(rows: FreeRows, sigma: float, kept: Mask | None = None) -> NoiseGrid:
+    """Return the noise of positions, all of one size `sigma`, beside what is estimated in any case."""
+    mine = np.ones(len(rows), dtype=bool) if kept is None else kept
+    basis, size, _ = np.linalg.svd(rows.fixed[mine] / sigma, full_matrices=False)
+    basis = basis[:, size > 1e-10 * size[0]]
+    parts = np.array_split(np.arange(len(basis)), max(len(basis) // AT_ONCE, 1))
+    each = tuple((part, np.eye(len(part))) for part in parts)
+    white = Whitener(each, basis, np.zeros(basis.shape[1]))
+    return NoiseGrid((white,), np.zeros(1), np.zeros(1), np.zeros(1), sigma, len(basis) - basis.shape[1])
 
 
 def loose(rows: FreeRows, *, drifting: bool = False) -> Floats:
@@ -49,18 +63,29 @@ def scatter(rows: FreeRows) -> float:
     u, size, _ = np.linalg.svd(columns, full_matrices=False)
     u = u[:, size > 1e-9 * size[0]]
     freedom = len(rows) - u.shape[1]
-    if freedom < 1:
-        raise CalibrationError(f"{len(rows)} free positions leave nothing to tell the noise; measure more")
+    if freedom < LEAST_FREEDOM:
+        raise CalibrationError(
+            f"{len(rows)} free positions leave {max(freedom, 0)} to tell the noise, beside coefficients, and "
+            f"zeros and scale factors of each record; measure {LEAST_FREEDOM - freedom} more, all round"
+        )
     left = rows.response - u @ (u.T @ rows.response)
     return max(float(np.sqrt(left @ left / freedom)), 1e-9)
 
 
-def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], tuple[str, ...]]:
-    """Leave out positions that stand apart from all others, the worst first.
+@dataclass(frozen=True)
+class Apart:
+    """The positions that stay; a sentence for each that is left out (`origin`, (k, 2)), and for each in doubt."""
 
-    Return the others, a sentence for each that is left out, and one for each that is in doubt and stays.
-    """
+    rows: FreeRows
+    apart: tuple[str, ...]
+    origin: Ints
+    doubtful: tuple[str, ...]
+
+
+def without_outliers(rows: FreeRows) -> Apart:
+    """Leave out positions that stand apart from all others, the worst first."""
     apart: list[str] = []
+    origin: list[Ints] = []
     doubtful: list[str] = []
     kept = rows
     for _ in range(int(MOST_APART * len(rows))):
@@ -69,11 +94,13 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], tuple[s
             break
         if worst.p < OUTLIER and worst.t >= FAR and not doubtful:
             apart.append(f"{worst.words}; not at rest? It is left out")
+            origin.append(rows.origin[worst.row])
         else:
-            doubtful.append(f"{worst.words}: by chance in {100 * worst.p:.2g} %; it stays in")
+            why = f"by chance in {100 * worst.p:.2g} %" if worst.p >= OUTLIER else f"fewer than {FAR:g}"
+            doubtful.append(f"{worst.words}: {why}, so that it stays in")
         rows = rows.without(np.arange(len(rows)) == worst.row)
         kept = kept if doubtful else rows
-    return kept, tuple(apart), tuple(doubtful)
+    return Apart(kept, tuple(apart), np.array(origin, dtype=np.int64).reshape(-1, 2), tuple(doubtful))
 
 
 @dataclass(frozen=True)

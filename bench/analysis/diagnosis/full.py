@@ -101,10 +101,17 @@ def _of_block(shown: Shown) -> dict[str, Any]:
 
 
 class TooLittleLeft(CalibrationError):
-    """Mistakes are known and put right, and what is left does not determine the coefficients."""
+    """Mistakes are known and put right, and what is left, `corrected`, does not determine the coefficients.
 
-    def __init__(self, mistakes: Sequence[Mistake], reason: str, *, simulated: bool) -> None:
+    `copy` is the file of what is left, where it was written.
+    """
+
+    def __init__(
+        self, mistakes: Sequence[Mistake], reason: str, corrected: Readings, *, simulated: bool
+    ) -> None:
         self.mistakes = tuple(mistakes)
+        self.corrected = corrected
+        self.copy: Path | None = None
         self.simulated = simulated
         self.bench: Mapping[str, str] | None = None
         self.corrections: Sequence[Mapping[str, Any]] = ()
@@ -142,7 +149,12 @@ class TooLittleLeft(CalibrationError):
             "bench": None if self.bench is None else dict(self.bench),
             "corrections": [dict(one) for one in self.corrections],
             "report": None,
-            "corrected": None,
+            "corrected": {
+                "readings": None if self.copy is None else str(self.copy),
+                "used": len(self.corrected),
+                "verdict": None,
+                "rests_on": [mistake.words for mistake in self.mistakes],
+            },
         }
 
 
@@ -170,12 +182,12 @@ def diagnose_fully(
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal
     sheet_of_unit = sheet if readings.unit == "V" else None
+    there = KnownBench.of(bench) if stated else NOTHING_KNOWN
     try:
-        there = KnownBench.of(bench) if stated else NOTHING_KNOWN
         diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
     except CalibrationError as reason:
         if known:
-            raise TooLittleLeft(known, str(reason), simulated=simulated) from reason
+            raise TooLittleLeft(known, str(reason), readings, simulated=simulated) from reason
         raise
     if known:
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
@@ -183,7 +195,7 @@ def diagnose_fully(
     model = diagnosis.linear.model
     blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
     shown = blocks[0]
-    told = contradicted(model.effects, shown.before.effects)
+    told = [*filter(None, [there.not_judged(readings)]), *contradicted(model.effects, shown.before.effects)]
     return FullDiagnosis(
         source=source,
         simulated=simulated,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from bench.files.bench.file import BenchFile
 from bench.model import CATALOGUE
+from bench.readings.rails import rails_of
 from bench.readings.table import Readings
 
 
@@ -45,8 +46,26 @@ class KnownBench:
             "channel_crosstalk": "each channel has a voltmeter of its own" if self.own_meters else "",
             "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
             "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
+            "supply_sensitivity": "" if rails_of(readings.extra) else "no voltage of a rail is recorded",
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}
+
+    def not_judged(self, readings: Readings) -> str:
+        """Return which effects are looked for as nobody says that the bench cannot have them; or nothing."""
+        recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
+        unknown = {
+            "range_offset": self.fixed_ranges is None and not recorded,
+            "channel_crosstalk": self.own_meters is None,
+            "meters_exchanged": self.own_meters is None,
+            "backlash": self.scale_on_axis is None,
+        }
+        names = [name for name in CATALOGUE if unknown.get(name)]
+        if not names:
+            return ""
+        return (
+            f"whether the bench can have {', '.join(names)} was not judged, as nobody named its bench file: "
+            "they are looked for; --bench FILE says what meters and head it has"
+        )
 
 
 NOTHING_KNOWN = KnownBench()

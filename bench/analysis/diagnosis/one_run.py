@@ -9,16 +9,18 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates, Column, make_candidates
+from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.joint import make_system
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.looked import Looked
+from bench.analysis.diagnosis.looked import SAME_SIZE, Looked
 from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.posterior import noise_size, posterior
 from bench.analysis.diagnosis.repeats import noise_of_repeats
 from bench.analysis.diagnosis.runs import candidates_of
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
+from bench.analysis.diagnosis.weighing import weigh_down
 from bench.base.arrays import Floats, Mask
 from bench.base.progress import tracked
 from bench.model import ForwardModel
@@ -48,13 +50,19 @@ UNLIKELY: Final = 5.0
 
 @dataclass(frozen=True)
 class _EachRun:
-    """How each run is searched by itself: limits of the stand, the noise of a reading, thresholds."""
+    """How each run is searched by itself: limits of the stand, thresholds, the noise of a reading.
+
+    `by_channel` (3,) are the sizes of the channels' noise beside each other, `pull` (N,) by how much rows of all
+    runs are weighed down.
+    """
 
     stand_u: Mapping[str, float]
     setting_rad: float
-    sigma: float
     cache: ThresholdCache
     absent: Collection[str]
+    sigma: float = 0.0
+    by_channel: Floats | None = None
+    pull: Floats | None = None
 
 
 def look_at_runs(
@@ -67,14 +75,33 @@ def look_at_runs(
     absent: Collection[str] = (),
 ) -> tuple[Looked, Naming]:
     """Prepare readings of several runs and find what is missing; arguments and errors as of `look` for one."""
-    linear = make_system(readings, model, stand)
+    each = _EachRun(stand, setting_rad, cache, absent)
+    looked, naming = _looked(make_system(readings, model, stand), resolution, each)
+    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    weighed = weigh_down(looked.linear, looked.candidates, naming, noise)
+    if weighed is not None:
+        less = replace(looked.linear, response=looked.linear.response + weighed.pull)
+        looked, naming = _looked(less, resolution, replace(each, pull=weighed.pull))
+        looked = replace(looked, weighed=weighed)
+    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming)
+    if np.max(np.abs(np.log(sizes))) < SAME_SIZE:
+        return looked, naming
+    pull = None if weighed is None else weighed.pull
+    again, naming = _looked(
+        replace(looked.linear, by_channel=sizes), resolution, replace(each, by_channel=sizes, pull=pull)
+    )
+    return replace(again, weighed=weighed), naming
+
+
+def _looked(linear: LinearSystem, resolution: float, each: _EachRun) -> tuple[Looked, Naming]:
+    """Look in all runs together and in each, with the noise that the system has."""
     repeats = noise_of_repeats(linear, resolution)
     whitened = Whitened.of(
-        make_noise_grid(linear, repeats.sigma, setting_rad), candidates_of(linear, repeats.sigma, absent)
+        make_noise_grid(linear, repeats.sigma, each.setting_rad),
+        candidates_of(linear, repeats.sigma, each.absent),
     )
-    limit = cache.threshold(linear, whitened, setting_rad).at(TOGETHER)
-    each = _EachRun(stand, setting_rad, repeats.sigma, cache, absent)
-    whitened, naming = _name_in_all_and_each(linear, whitened, limit, each)
+    limit = each.cache.threshold(linear, whitened, each.setting_rad).at(TOGETHER)
+    whitened, naming = _name_in_all_and_each(linear, whitened, limit, replace(each, sigma=repeats.sigma))
     data = whitened.reduce(linear.response[:, None])
     bend = np.zeros(len(linear))
     return Looked(linear, repeats, whitened.candidates, whitened, data, limit, bend), naming
@@ -139,7 +166,7 @@ def _look_in_each(
         common = posterior(linear, columns, noise_size(whole, data, naming.columns)).amplitudes
     limit: Threshold | None = None
     found: list[Found] = []
-    runs = list(_runs(linear, columns @ common, each.stand_u))
+    runs = list(_runs(linear, columns @ common, each))
     for run in tracked(runs, "runs, each by itself"):
         own = make_candidates(run.linear, sigma, absent=each.absent)
         whitened = Whitened.of(make_noise_grid(run.linear, sigma, each.setting_rad), own)
@@ -151,14 +178,16 @@ def _look_in_each(
     return candidates, tuple(found)
 
 
-def _runs(linear: LinearSystem, in_all: Floats, stand_u: Mapping[str, float]) -> Iterator[_Run]:
+def _runs(linear: LinearSystem, in_all: Floats, each: _EachRun) -> Iterator[_Run]:
     readings = linear.readings
     of_row = readings.run[linear.rows.reading]
     for number in np.unique(readings.run):
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
-        alone = make_linear(table, linear.model, stand_u)
-        yield _Run(rows, replace(alone, response=alone.response - in_all[rows]))
+        alone = make_linear(table, linear.model, each.stand_u)
+        pull = 0.0 if each.pull is None else each.pull[rows]
+        alone = replace(alone, response=alone.response + pull - in_all[rows])
+        yield _Run(rows, alone if each.by_channel is None else replace(alone, by_channel=each.by_channel))
 
 
 def _embedded(candidates: Candidates, own: Candidates, one: Found, run: _Run) -> tuple[Candidates, Found]:

@@ -16,6 +16,7 @@ from bench.analysis.diagnosis.noise_findings import NoiseFinding
 from bench.analysis.diagnosis.noise_kinds import NoiseKind
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
 from bench.analysis.diagnosis.registration import Registration
+from bench.analysis.diagnosis.visibility import Smallest
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake, MistakeSearch
 from bench.base.arrays import CHANNELS, Floats
@@ -92,7 +93,7 @@ class NamedEffect:
             "installations": list(self.installations),
             "cannot_tell_from": list(self.cannot_tell_from),
             "plainer_than": list(self.plainer_than),
-            "parameters": _nested(self.parameters),
+            "parameters": nested(self.parameters),
             "together": [asdict(one) for one in self.together],
             "p": self.p,
             "p_all_looks": self.p_all_looks,
@@ -102,7 +103,7 @@ class NamedEffect:
         }
 
 
-def _nested(values: Sequence[EffectValue]) -> dict[str, Any]:
+def nested(values: Sequence[EffectValue]) -> dict[str, Any]:
     """Return values by installations, parameter and channel, each level where there is one."""
     tree: dict[str, Any] = {}
     for one in values:
@@ -123,10 +124,11 @@ class Diagnosis:
     `verdict` where not. `hidden` are effects that the readings could never show, with their parts where it is true
     of some; `absent` effects of what the bench has not, with the reason; `unseen_per_turn` how often a turn an
     error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
-    plausible sizes, that are found in half of all runs. `linear`, `candidates`, `naming`, `fitted` and `noise`
-    are what plots and the report are drawn from; `in_part` what the effects may have of other shapes, which is in
-    the coefficients' u; `findings` where that noise is larger than stated, `noise_kinds` in what it is no normal
-    noise of one size.
+    plausible sizes, that are found in half of all runs, `smallest` of effects with several in whatever
+    direction. `linear`, `candidates`, `naming`, `fitted` and `noise` are what plots and report are drawn from;
+    `in_part` what the effects may have of other shapes, which is in the coefficients' u, `left_open` what the
+    readings left of it, for a model file; `findings` where noise is
+    larger than stated, `noise_kinds` in what it is no normal noise of one size.
     """
 
     verdict: Verdict
@@ -138,6 +140,7 @@ class Diagnosis:
     absent: Mapping[str, str]
     unseen_per_turn: tuple[int, ...]
     detectable: Mapping[str, float]
+    smallest: Mapping[str, tuple[Smallest, ...]]
     gap: Gap
     registered: Registration
     linear: LinearSystem
@@ -145,6 +148,7 @@ class Diagnosis:
     naming: Naming
     fitted: Posterior
     in_part: tuple[AppliedEffect, ...]
+    left_open: tuple[AppliedEffect, ...]
     noise: NoiseSize
     p_left: float
     form: FreeForm | None = None

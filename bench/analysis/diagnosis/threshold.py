@@ -153,6 +153,7 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(readings.time_s / 10).tolist(),
         np.round(readings.temperature_c, 2).tolist(),
         {name: cells.tolist() for name, cells in readings.extra.items() if name in DESIGN_COLUMNS},
+        np.round(linear.conditions.above_nominal_v, 2).tolist(),
         {k: np.round(v.block_from_platform, 2).tolist() for k, v in linear.model.installations.items()},
         [(a.effect.name, a.channels, a.installations, sorted(a.values)) for a in linear.model.effects],
         np.round(linear.block.K / scale, 2).tolist(),

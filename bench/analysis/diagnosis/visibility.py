@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from bench.analysis.diagnosis.candidates import ROUND
 from bench.analysis.diagnosis.evidence import Search, Whitened
 from bench.analysis.diagnosis.threshold import Threshold
-from bench.model import CATALOGUE
+from bench.base.arrays import Floats
+from bench.model import CATALOGUE, Parameter
 
 BEYOND_BELIEF: Final = 30.0
 """An effect that would have to be so many plausible sizes large to be found is hidden."""
@@ -30,6 +32,65 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
             if variants[number].named:
                 best[variants[number].family] = max(best[variants[number].family], seen)
     return {name: half / seen if seen > NOTHING_SEEN else float("inf") for name, seen in best.items()}
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The size that is found in half of all runs, whatever direction it has among parameters of one unit.
+
+    `size` is their norm, in the unit of the catalogue. `part` says that it is that of the directions which show:
+    another, beyond belief large, would not.
+    """
+
+    parameters: tuple[str, ...]
+    size: float
+    unit: str
+    part: bool = False
+
+
+def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
+    """Return for each effect with several sizes what `detectable` says of one with one, a size for each unit.
+
+    Of channels, mountings and shapes that it may have those that show best; of the directions among its parameters
+    (the phases of a wave) the one that shows worst.
+    """
+    half = half_power(whitened, threshold)
+    best: dict[tuple[str, str], Smallest] = {}
+    for variant in whitened.candidates.variants:
+        sized = [p for p in CATALOGUE[variant.family].parameters if not p.is_shape] if variant.named else []
+        if len(sized) < 2:
+            continue
+        kinds = [(whitened.candidates.kinds[column], column) for column in variant.columns]
+        for unit in dict.fromkeys(p.unit for p in sized):
+            of = {p.name: p for p in sized if p.unit == unit}
+            for cell in {(kind.channel, kind.mounts) for kind, _ in kinds}:
+                own = {
+                    k.parameter: i for k, i in kinds if (k.channel, k.mounts) == cell and k.parameter in of
+                }
+                if len(own) < len(of):
+                    continue
+                gram = whitened.among(ratio, list(own.values()))
+                one = _smallest_of(gram, own, of, half)
+                known = best.get((variant.family, unit))
+                if one is not None and (known is None or (one.part, one.size) < (known.part, known.size)):
+                    best[variant.family, unit] = one
+    found: dict[str, tuple[Smallest, ...]] = {}
+    for (name, _), one in best.items():
+        found[name] = (*found.get(name, ()), one)
+    return found
+
+
+def _smallest_of(
+    gram: Floats, own: Collection[str], of: Mapping[str, Parameter], half: float
+) -> Smallest | None:
+    scale = np.array([of[name].plausible / of[name].si_per_unit for name in own])
+    shows, directions = np.linalg.eigh(gram / np.outer(scale, scale))
+    # in plausible sizes, so that a direction beyond belief is one in every unit
+    reach = half / np.sqrt(np.maximum(shows, 1e-300))
+    beyond = reach * np.linalg.norm(directions / scale[:, None], axis=0) > BEYOND_BELIEF
+    if np.all(beyond):
+        return None
+    return Smallest(tuple(own), float(reach[~beyond].max()), next(iter(of.values())).unit, bool(beyond.any()))
 
 
 NOTHING_SEEN: Final = 1e-6
@@ -67,7 +128,7 @@ def hidden(
 
 def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list[tuple[str, str]]]:
     candidates = whitened.candidates
-    seen = np.sqrt(np.maximum(np.diagonal(whitened.gram[ratio]), 0.0))
+    seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0))
     best: dict[tuple[str, str, str], float] = {}
     for variant in candidates.variants:
         if variant.named:

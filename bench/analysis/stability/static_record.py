@@ -11,7 +11,8 @@ import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
-from bench.readings.csv import LISTED_AT_ONCE, OVERLOAD, ReadingsError, split_table
+from bench.readings.csv import LISTED_AT_ONCE, ReadingsError, split_table
+from bench.readings.numbers import OVERLOAD
 from bench.readings.table import UNITS
 
 LEAST_SAMPLES: Final = 32

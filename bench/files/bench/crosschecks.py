@@ -17,12 +17,17 @@ from bench.devices.registry import devices
 from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm, written_channels
 from bench.devices.wires import bus_place
 from bench.files.bench.instruments import InstrumentsSection
+from bench.files.bench.rail_checks import supply_mistakes
 from bench.readings.table import UNORIENTED
 
 _OVER_RANGE: Final = 1.2
 """Up to which part of its range a voltmeter reads whose driver cannot be read."""
 
 _LACKS: Final = {"sensor_noise": "a sensor without noise"}
+
+
+FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
+"""The roles of which a bench has one instrument at most."""
 
 
 def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
@@ -35,6 +40,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
     yield from _label_mistakes(part(data, "installations"))
     yield from _name_mistakes(data)
     yield from _simulation_mistakes(data)
+    yield from supply_mistakes(data)
 
 
 def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
@@ -73,7 +79,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """Each resource is one instrument."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
-    places += [("the head", ("head",)), ("the chamber", ("chamber",))]
+    places += [(f"the {role.replace('_', ' ')}", (role,)) for role in FURTHER]
     known: dict[object, str] = {}
     for called, inside in places:
         place: Place = ("instruments", *inside, "resource")
@@ -81,9 +87,23 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if not isinstance(resource, str):
             continue
         where = bus_place(resource) or resource
-        if where in known:
+        if where in known and not (inside == ("thermometer",) and _is_beside_signals(data, resource)):
             yield place, f"'{resource}' is {known[where]} already"
         known.setdefault(where, called)
+
+
+def _is_beside_signals(data: Any, resource: str) -> bool:
+    """Whether the thermometer is on a channel of the multiplexer at this address that has no signal."""
+    section = part(data, "instruments", "thermometer")
+    meters = [m for m in _items(part(data, "instruments", "voltmeters")) if part(m, "resource") == resource]
+    taken = [str(part(meter, "inputs", channel)) for meter in meters for channel in CHANNELS]
+    own = str(part(section, "channel"))
+    return (
+        part(section, "driver") == "keysight-34970a-thermometer"
+        and all(part(meter, "driver") == "keysight-34970a" for meter in meters)
+        and bool(meters)
+        and not {own, str(int(own) + 10) if own.isdecimal() else own} & set(taken)
+    )
 
 
 def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
@@ -144,7 +164,7 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """What is said of a simulated head or chamber is there to be simulated."""
+    """What is said of a simulated instrument is there to be simulated."""
     accuracy: Place = ("simulation", "voltmeter", "accuracy")
     if part(data, *accuracy) == CERTIFICATE:
         meters = enumerate(_items(part(data, "instruments", "voltmeters")), start=1)
@@ -152,8 +172,7 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if without:
             text = f"voltmeter {', '.join(without)} has no certificate whose errors it could have"
             yield accuracy, text
-    roles: tuple[Role, ...] = ("head", "chamber")
-    for role in roles:
+    for role in FURTHER:
         stated = part(data, "simulation", role)
         section = part(data, "instruments", role)
         driver = part(section, "driver")
@@ -163,7 +182,8 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if driver not in able:
             there = "none" if driver is None else driver
             text = (
-                f"only a {role} of the driver {' or '.join(able)} has this, and this bench has {there}; "
+                f"only a {role.replace('_', ' ')} of the driver {' or '.join(able)} has this, "
+                f"and this bench has {there}; "
                 "leave it out"
             )
             yield ("simulation", role), text

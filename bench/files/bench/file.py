@@ -23,7 +23,7 @@ from bench.base.units import FrequencyHz
 from bench.devices.heads import MotorisedHeadForm
 from bench.devices.registry import devices, unknown_drivers
 from bench.devices.unknown import UnknownVoltmeter
-from bench.files.bench.crosschecks import mistakes_between_parts
+from bench.files.bench.crosschecks import FURTHER, mistakes_between_parts
 from bench.files.bench.instruments import InstrumentsSection, RecordedInstruments
 from bench.files.bench.simulation import SimulationSection
 from bench.files.bench.stand import (
@@ -220,5 +220,5 @@ def foreign_drivers(bench: BenchFile) -> dict[str, str]:
 
 def _sections_of(data: Any) -> list[Any]:
     meters = part(data, "instruments", "voltmeters")
-    sections = [part(data, "instruments", role) for role in ("head", "chamber")]
+    sections = [part(data, "instruments", role) for role in FURTHER]
     return [*(meters if isinstance(meters, list) else []), *sections]

@@ -10,21 +10,21 @@ from bench.base.forms import FileModel
 from bench.base.units import (
     ACCELERATION,
     GRAVITY,
-    VOLTAGE,
     AccelerationG,
     AccelerationMS2,
     AngleRad,
     LengthM,
     ScaleFactor,
     SizeRad,
+    SizeV,
     not_negative,
 )
 from bench.devices.certificates import Day
 from bench.devices.chambers import TemperatureRange
+from bench.files.bench.rails import UnitSupplySection
 from bench.model import Distribution, Installation
 from bench.model.gravity import normal_gravity_m_s2
 
-SizeV = Annotated[float, not_negative(VOLTAGE)]
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 
 
@@ -122,7 +122,11 @@ class VoltageError(ErrorSize):
 
 
 class StandSection(FileModel):
-    """The stand errors, alpha1…alpha4 and Delta U_M of the paper; the last two are zero unless stated."""
+    """The stand errors, alpha1…alpha4 and Delta U_M of the paper; mounting roll and offset are zero unless stated.
+
+    `foundation` is by how much the levelled platform tilts in a day. A levelling in a run takes the place of
+    `axis_tilt` and `zero_offset` in its mounting.
+    """
 
     axis_tilt: AngleError
     zero_offset: AngleError
@@ -131,6 +135,7 @@ class StandSection(FileModel):
     voltmeter_error: VoltageError
     mounting_roll: AngleError | None = None
     mounting_offset: AngleError | None = None
+    foundation: AngleError | None = None
 
 
 class InstallationSection(FileModel):
@@ -175,13 +180,14 @@ class ScaleFactors(FileModel):
 
 
 class UnitUnderTest(FileModel):
-    """The block: identity, nominal scale factors, measuring range, temperatures it may be given."""
+    """The block: identity, nominal scale factors, measuring range, temperatures it may be given, its supply."""
 
     type: str
     serial: str
     scale_factors: ScaleFactors
     range: AccelerationG
     temperature: TemperatureRange
+    supply: UnitSupplySection | None = None
 
 
 class PopulationSection(FileModel):

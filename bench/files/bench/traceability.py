@@ -10,13 +10,10 @@ from typing import Any, Final
 
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.devices.certificates import Certificate, ChamberCertificate, HeadCertificate
-from bench.devices.chambers import ChamberForm
-from bench.devices.heads import HeadForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import BenchFile
+from bench.files.bench.instruments import InstrumentForm
 from bench.readings.corrected import Corrections
-
-Section = VoltmeterForm | HeadForm | ChamberForm
 
 _MICRO: Final = 1e-6
 
@@ -28,7 +25,7 @@ class Standing:
     `answered` is None where nobody knows it, as of readings from a file, and empty where the instrument says none.
     """
 
-    section: Section
+    section: InstrumentForm
     certificate: Certificate
     day: datetime.date
     answered: str | None = None
@@ -139,6 +136,7 @@ def without(bench: BenchFile, names: Set[str]) -> BenchFile:
         "voltmeters": tuple(own(meter) for meter in instruments.voltmeters),
         "head": own(instruments.head),
         "chamber": own(instruments.chamber),
+        "thermometer": own(instruments.thermometer),
     }
     return bench.model_copy(update={"instruments": instruments.model_copy(update=kept)})
 
@@ -151,8 +149,9 @@ def corrections_of(bench: BenchFile) -> Corrections:
         for channel in meter.channels if values else ():
             gain[channel] = values.gain.correction if values and values.gain else 0.0
             offset_v[channel] = values.offset.correction if values and values.offset else 0.0
-    head, chamber = bench.instruments.head.certificate, bench.instruments.chamber
-    thermometer = chamber.certificate if chamber is not None else None
+    head = bench.instruments.head.certificate
+    told_by = bench.instruments.thermometer or bench.instruments.chamber
+    thermometer = told_by.certificate if told_by is not None else None
     return Corrections(
         gain=(gain["x"], gain["y"], gain["z"]),
         offset_v=(offset_v["x"], offset_v["y"], offset_v["z"]),

@@ -11,6 +11,9 @@ from bench.files.bench.stand import ErrorSize, VoltageError
 
 BIAS_PER_K: Final = QuantityKind("a temperature coefficient of the bias", "30 ug/K", "g/K")
 SCALE_PER_K: Final = QuantityKind("a temperature coefficient of the scale factor", "180 ppm/K", "1/K")
+BIAS_PER_V: Final = QuantityKind("a supply coefficient of the bias", "20 ug/V", "g/V")
+SCALE_PER_V: Final = QuantityKind("a supply coefficient of the scale factor", "20 ppm/V", "1/V")
+ACCELERATION: Final = QuantityKind("a bias", "20 ug", "g")
 QUADRATIC: Final = QuantityKind("a quadratic nonlinearity", "30 ug/g^2", "g/g^2")
 CUBIC: Final = QuantityKind("a cubic nonlinearity", "20 ug/g^3", "g/g^3")
 
@@ -45,6 +48,24 @@ class ScalePerKelvin(ErrorSize):
     limit: Annotated[float, not_negative(SCALE_PER_K)]
 
 
+class BiasPerVolt(ErrorSize):
+    """How the bias follows the voltage of a rail, g/V."""
+
+    limit: Annotated[float, not_negative(BIAS_PER_V)]
+
+
+class ScalePerVolt(ErrorSize):
+    """How the scale factor follows the voltage of a rail, 1/V."""
+
+    limit: Annotated[float, not_negative(SCALE_PER_V)]
+
+
+class BiasError(ErrorSize):
+    """How a bias differs from one switching-on to another, g."""
+
+    limit: Annotated[float, not_negative(ACCELERATION)]
+
+
 class QuadraticError(ErrorSize):
     """K2 of a channel, in g per g²."""
 
@@ -60,7 +81,8 @@ class CubicError(ErrorSize):
 class UncertaintySection(FileModel):
     """What is known of the errors that the readings do not show; what is left out has a default.
 
-    The defaults of the voltmeters are their makers' limits, that of the temperature the chamber's band.
+    The defaults of the voltmeters are their makers' limits, that of the temperature the chamber's band, that of the
+    rails' voltages their tolerance.
     """
 
     voltmeter_gain: RatioError | None = None
@@ -70,5 +92,9 @@ class UncertaintySection(FileModel):
     temperature: TemperatureError | None = None
     bias_temperature_coefficient: BiasPerKelvin | None = None
     scale_temperature_coefficient: ScalePerKelvin | None = None
+    supply_voltage: VoltageError | None = None
+    bias_supply_coefficient: BiasPerVolt | None = None
+    scale_supply_coefficient: ScalePerVolt | None = None
+    turn_on_repeatability: BiasError | None = None
     K2: QuadraticError | None = None
     K3: CubicError | None = None

@@ -9,7 +9,7 @@ from bench.model.effects.expression import ExpressionError
 from bench.model.effects.formula import FormulaEffect
 
 MODULES: Final = (
-    "nonlinear", "hysteresis", "thermal", "stand", "head", "stand_motion", "slips", "voltmeter",
+    "nonlinear", "hysteresis", "thermal", "supply", "stand", "head", "stand_motion", "slips", "voltmeter",
 )  # fmt: skip
 """The modules of this folder that have effects, in the order of the catalogue."""
 

@@ -67,7 +67,7 @@ class ThermalScale(BlockEffect):
 
 
 class WarmUp(BlockEffect):
-    """A exp(-t / tau), t since the start of the run."""
+    """A exp(-t / tau), t since the unit was switched on: since the start of the run where that is not known."""
 
     name = "warm_up"
     parameters = (
@@ -82,7 +82,7 @@ class WarmUp(BlockEffect):
 
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii A_i exp(-t / tau) in volts, shape (n, 3)."""
-        left = np.exp(-seen.conditions.elapsed_s / float(values["tau"]))
+        left = np.exp(-seen.conditions.switched_on_s / float(values["tau"]))
         return left[:, None] * (seen.scale * values["A"])
 
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from rich.console import Console
 
-from bench.analysis.diagnosis.free_positions import FreeDiagnosis
+from bench.analysis.diagnosis.free_result import FreeDiagnosis
 from bench.base.numbers import quantity, typeset
 from bench.base.progress import quiet
-from bench.report.diagnosis import words
+from bench.report.diagnosis import free_words, words
 
 
-def print_free(found: FreeDiagnosis, out: Console) -> None:
-    """Print what was found in free positions, in the order in which it was."""
-    rows = found.rows
-    records = len(set(rows.record.tolist()))
+def print_free(found: FreeDiagnosis, files: Sequence[tuple[str, Path]], out: Console) -> None:
+    """Print what was found in free positions, in the order in which it was, and the files that were written."""
+    rows, gap = found.rows, found.gap
     out.print(
-        f"{len(rows)} free positions, {rows.sensors} sensor{'s' * (rows.sensors > 1)}, {records} "
-        f"record{'s' * (records > 1)}: |a| = 1 g is all that is known of them"
+        f"{len(rows)} free positions, {rows.sensors} sensor{'s' * (rows.sensors > 1)}, {found.records} "
+        f"record{'s' * (found.records > 1)}: |a| = 1 g is all that is known of them"
     )
     for note in found.notes:
         if not quiet.get():
@@ -26,20 +28,25 @@ def print_free(found: FreeDiagnosis, out: Console) -> None:
     for place in found.where:
         out.print(f"  {place['pattern']}: |a| is off by {quantity(place['size'], 'g')} (rms)")
     for one in found.found:
-        ties = f", or {', '.join(one.cannot_tell_from)}" if one.cannot_tell_from else ""
-        of = f" of {', '.join(one.channels)}" if one.channels else ""
-        out.print(f"Found: {one.name}{of}{ties}", style="bold")
+        out.print(f"Found: {free_words.title(one)}", style="bold")
         out.print(typeset(f"  {one.words}"))
+        for line in free_words.parameters(one):
+            out.print(f"  {line}")
         out.print(typeset(f"  {words.p_in_words(one.p_all_looks)} with all looks counted, rho {one.rho:.1f}"))
-    gap = found.gap
-    out.print(
-        f"Gap on positions held out: reduced chi-square {gap['before']:.2f} before, {gap['after']:.2f} after "
-        f"(noise alone: 1); |a| is off by {quantity(gap['before_rms'], 'g')} before, "
-        f"{quantity(gap['after_rms'], 'g')} after"
-    )
-    lead = words.LEAD[found.verdict].upper()
-    told = "; ".join(
-        [*(["positions stand apart"] if found.apart else []), *(one.words for one in found.found)]
-    )
-    nothing = "the positions agree with nine coefficients of each sensor within their scatter"
-    out.print(typeset(f"{found.source}: {lead}: {told or nothing}"), style="bold")
+    if gap.opened:
+        out.print(
+            f"Gap on positions held out: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
+            f"(noise alone: 1); |a| is off by {quantity(gap.before_rms, 'g')} before, "
+            f"{quantity(gap.after_rms, 'g')} after"
+        )
+    else:
+        out.print("Gap: not measured, as no position can be held out; measure more of them, all round")
+    if gap.reason:
+        out.print(f"  not confirmed: {gap.reason}")
+    for what, file in files:
+        out.print(f"{what}: {file}")
+    if found.of_rest == "confounded" and "model" not in dict(files):
+        out.print(f"no model file is written {free_words.why_no_model(found)}")
+    told = free_words.gap(found)
+    text = free_words.what(found) + (f"; {told}" if told else "")
+    out.print(typeset(f"{free_words.named(found)}: {free_words.lead(found).upper()}: {text}"), style="bold")

@@ -25,7 +25,7 @@ DRAWN: Final = 4
 """Mountings of which the residuals are drawn in full view; those beyond are folded away."""
 
 MOST_DRAWN: Final = 12
-"""Mountings of which residuals are drawn at all: many runs have many."""
+"""Of no more mountings than this all are drawn; of more, as many runs have, those in full view alone."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 """Colour of the verdict; of the others it is that of a failure."""
@@ -55,6 +55,10 @@ def render_diagnosis(full: FullDiagnosis, title: str, limit_g: float, provenance
         held_out=_held_out(diagnosis.gap),
         gap_bars=_drawn(plots.gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
         coefficients=_coefficients(shown),
+        blocks=[
+            (number, words.mountings_of(one), words.p_in_column(one.last.test.p, 2), _coefficients(one))
+            for number, one in enumerate(full.blocks, start=1)
+        ],
         tests=_tests(shown),
         joined=list(words.joined_in_words(shown)),
         less_certain=words.less_certain(shown.coefficients) if shown.after else [],
@@ -128,15 +132,21 @@ def _tests(shown: Shown) -> list[Row]:
     return rows
 
 
+def _drawn_of(shown: Shown) -> int:
+    """Return of how many mountings there are figures: each takes a second, and nobody looks through sixty."""
+    count = len(mounts_of(shown.before.calibration))
+    return count if count <= MOST_DRAWN else DRAWN
+
+
 def _overlays(shown: Shown) -> tuple[list[Markup], list[Markup]]:
     """Return measured and simulated signals, of the mounting that tells most, and of others, folded away."""
-    figures = [_drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[:MOST_DRAWN]]
+    figures = [_drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 
 
 def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:
     """Return the figures of the first mountings: those in full view, and those folded away."""
-    mounts = mounts_of(shown.before.calibration)[:MOST_DRAWN]
+    mounts = mounts_of(shown.before.calibration)[: _drawn_of(shown)]
     figures = [_drawn(plots.residuals_of_mount(shown, i)) for i in range(len(mounts))]
     return figures[:DRAWN], figures[DRAWN:]
 

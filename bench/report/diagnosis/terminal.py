@@ -11,9 +11,10 @@ from rich.table import Table
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.confirm import Confirmation
+from bench.analysis.diagnosis.form.instead import UNNAMED_FORM
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
-from bench.base.numbers import quantity, typeset
+from bench.base.numbers import concise, quantity, typeset
 from bench.base.progress import quiet
 from bench.model import CATALOGUE
 from bench.report.diagnosis import words
@@ -35,7 +36,9 @@ def print_one(full: FullDiagnosis, out: Console) -> None:
     _form(full, out)
     if diagnosis.effects:
         _gap(diagnosis, shown, out)
-    if shown.after is not None:
+    if full.blocks:
+        _blocks(full, out)
+    elif shown.after is not None:
         _consequence(shown, out)
     _limits_of_sight(full, out)
     _files(full, out)
@@ -97,6 +100,8 @@ def print_mistakes(found: TooLittleLeft, source: str, out: Console) -> None:
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"Put right in a copy, {found.reason}")
+    if found.copy is not None:
+        out.print(f"corrected copy of the readings: {found.copy}")
     names = ", ".join(dict.fromkeys(mistake.name for mistake in found.mistakes))
     lead = words.LEAD["mistake"].upper()
     out.print(f"{source}: {lead}: {names}; put it right and measure again what is missing", style="bold")
@@ -125,6 +130,8 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
         parts = [other, words.shift_in_words(ranking, other)]
         if other in CATALOGUE:
             parts.append(f"to tell them apart: {CATALOGUE[other].shown_by}")
+        if other == UNNAMED_FORM:
+            parts.append("something without a name, of another form, is as plausible")
         out.print(f"  the data cannot tell it from {'; '.join(filter(None, parts))}")
     for other in effect.plainer_than:
         why = "would explain it with more parameters, the plainer one is taken"
@@ -139,7 +146,7 @@ def _form(full: FullDiagnosis, out: Console) -> None:
     out.print("The form of what has no name:", style="bold")
     for line in lines:
         out.print(f"  {typeset(line)}")
-    if full.diagnosis.form is not None and full.diagnosis.form.predicts and full.model is not None:
+    if full.diagnosis.form is not None and full.diagnosis.form.applied and full.model is not None:
         out.print(f"  to give it a name: bench accept {full.model} --name NAME --sentence TEXT")
 
 
@@ -158,7 +165,14 @@ def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
         out.print(f"  not confirmed: {gap.reason}")
     if after is not None and after.tested:
         with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
-        out.print(typeset(f"Simulated bench beside the readings: {with_it} with it, {without} without"))
+        out.print(
+            typeset(
+                f"Simulated bench against the readings, by the scatter of their own repeats: {with_it} with it, "
+                f"{without} without"
+            )
+        )
+        if diagnosis.findings:
+            out.print(f"  {words.LOUD_REPEATS}")
         if words.still_missing(shown):
             out.print(f"  {words.STILL_MISSING}")
     for line in words.joined_in_words(shown):
@@ -176,6 +190,22 @@ def _consequence(shown: Shown, out: Console) -> None:
     wider = words.less_certain(coefficients)
     if wider:
         out.print(f"  less certain with it: {', '.join(wider)}")
+
+
+def _blocks(full: FullDiagnosis, out: Console) -> None:
+    """Print the coefficients of each block; what is the stand's and the meters' was told once, for all."""
+    changed = any(block.after is not None for block in full.blocks)
+    out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
+    table = Table(box=None, pad_edge=False)
+    names = list(full.blocks[0].coefficients)
+    for heading in ("block", *names, "p"):
+        table.add_column(heading, justify="left" if heading == "block" else "right")
+    for number, block in enumerate(full.blocks, start=1):
+        values = [concise(one.after, one.u_after) for one in block.coefficients.values()]
+        p = typeset(words.p_in_column(block.last.test.p, 2)) if block.last.tested else "–"
+        table.add_row(f"{number}: {words.mountings_of(block)}", *values, p)
+    out.print(table)
+    out.print("p: of the simulated bench against the readings of the block, by the scatter of their repeats")
 
 
 def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
@@ -219,7 +249,7 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
         f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
     )
     # where the values are others, what is found beside them makes up for that
-    left = words.alike_in_words(found.diagnosis.effects)
+    left = words.beside_in_words(found.diagnosis)
     if left and found.verdict == "confirmed":
         out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
     closed = words.closed_in_words(

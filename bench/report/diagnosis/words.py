@@ -10,6 +10,7 @@ from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.confirm import EffectNow
 from bench.analysis.diagnosis.form.describe import FreeForm
+from bench.analysis.diagnosis.free_result import FreeDiagnosis
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.gap import UNDETERMINED, Gap
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
@@ -34,6 +35,11 @@ LEAST_P: Final = 1e-9
 STILL_MISSING: Final = (
     "the readings still differ from the simulated bench by more than their repeats do, at 1 %: "
     "something small may be left"
+)
+
+
+LOUD_REPEATS: Final = (
+    "that scatter is itself larger than it should be: of what makes it larger this test says nothing"
 )
 
 
@@ -68,14 +74,19 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
 def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
     for value in effect.parameters:
-        of = f" of {value.channel}" if value.channel else ""
         at = f" in installation {value.installations}" if value.installations else ""
-        yield f"{value.parameter}{of}{at} = {_value_in_words(value)}"
+        yield parameter_in_words(value, at)
     for one in effect.together:
         yield (
             f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
             f"{_with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
         )
+
+
+def parameter_in_words(value: EffectValue, at: str) -> str:
+    """Return a parameter with its value, `at` where it has it."""
+    of = f" of {value.channel}" if value.channel else ""
+    return f"{value.parameter}{of}{at} = {_value_in_words(value)}"
 
 
 def _value_in_words(value: EffectValue) -> str:
@@ -117,11 +128,19 @@ def place_in_words(place: Place) -> str:
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Return for each effect that can be seen the size that is found in half of all runs, in its unit.
 
-    It is that of the first parameter that has a size, in the form that shows best.
+    It is that of the form that shows best; of several parameters (the phases of a wave) their norm in the direction
+    that shows worst.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
         if not isfinite(factor) or name in diagnosis.hidden:
+            continue
+        if name in diagnosis.smallest:
+            told = [
+                with_unit(two_digits(one.size), one.unit) + (" in the part that shows" if one.part else "")
+                for one in diagnosis.smallest[name]
+            ]
+            sizes.append((name, " or ".join(told)))
             continue
         parameter = next(p for p in CATALOGUE[name].parameters if not p.is_shape)
         size = factor * parameter.plausible / parameter.si_per_unit
@@ -255,6 +274,18 @@ def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
+def mountings_of(block: Shown) -> str:
+    """Return the mountings of a block of several, as they stand in the body of data: "1/3, 2/3"."""
+    return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
+
+
+def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
+    """Return what was found in readings, whatever they are of."""
+    if isinstance(diagnosis, FreeDiagnosis):
+        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
+    return alike_in_words(diagnosis.effects)
+
+
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     """Return what would change were it `other` that is there, in place of what was found; or nothing."""
     for rival in ranking:
@@ -309,7 +340,7 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
             text += f"; plainer than {', '.join(effect.plainer_than)}"
         if effect.applied:
             evidence[label(effect.applied[0])] = text
-    if diagnosis.form is not None:
+    if diagnosis.form is not None and diagnosis.form.applied:
         evidence |= _evidence_for_form(diagnosis.form)
     evidence["gap"] = gap.reason
     if gap.opened:

@@ -205,6 +205,64 @@ def test_a_temperature_that_wanders_in_full():
         assert budget.combined.u[j] == pytest.approx(np.sqrt(variance), rel=2e-2)
 
 
+SUPPLY = {
+    "rails": [
+        {
+            "name": "p15",
+            "output": "P25V",
+            "voltage": "15 V",
+            "tolerance": "0.3 V",
+            "current": {"minimum": "10 mA", "maximum": "60 mA"},
+            "limits": {"minimum": "0 V", "maximum": "18 V", "current": "0.2 A"},
+            "current_limit": "0.1 A",
+        }
+    ],
+    "warm_up": "30 min",
+    "when_unsafe": "off",
+}
+
+
+def fed(tmp_path, **uncertainty):
+    """The shipped bench whose block has a rail that a person switches."""
+    by_hand = {"driver": "manual-supply", "outputs": {"P25V": {"maximum": "25 V", "current": "1 A"}}}
+    instruments, unit = {"power_supply": by_hand}, {"supply": SUPPLY}
+    return edited(tmp_path, instruments=instruments, unit_under_test=unit, uncertainty=uncertainty)
+
+
+def test_what_feeds_the_block_is_two_lines(tmp_path):
+    """The tolerance of a rail is a rectangle; a bench that nobody says to switch the block has neither."""
+    assert not {"turn_on", "supply_voltage[p15]"} & by_name(SHIPPED).keys()
+    usual = by_name(fed(tmp_path))
+    assert usual["supply_voltage[p15]"].u == pytest.approx(0.3 / np.sqrt(3))
+    assert usual["supply_voltage[p15]"].prior
+    assert usual["turn_on"].prior
+    stated = {
+        "supply_voltage": {"limit": "20 mV", "distribution": "normal", "k": 2},
+        "bias_supply_coefficient": {"limit": "8 ug/V", "distribution": "normal", "k": 1},
+        "scale_supply_coefficient": {"limit": "30 ppm/V", "distribution": "normal", "k": 2},
+        "turn_on_repeatability": {"limit": "12 ug", "distribution": "normal", "k": 1},
+    }
+    found = by_name(fed(tmp_path, **stated))
+    assert found["supply_voltage[p15]"].u == pytest.approx(0.01)
+    assert found["supply_voltage[p15]"].factors == pytest.approx({"bias": 8e-6, "scale": 15e-6, "rail": 1})
+    assert found["turn_on"].u == pytest.approx(12e-6)
+    assert not found["turn_on"].prior
+
+
+def test_a_supply_that_stays_in_closed_form(monkeypatch, tmp_path):
+    """K goes with the scale and U0 with the bias, and a turn-on with the bias alone."""
+    monkeypatch.setattr(patterns, "WANDERS_S", 1e15)
+    found = by_name(fed(tmp_path))
+    source = found["supply_voltage[p15]"]
+    u = make_budget(paper_setup(), [source], "closed-form").combined.u
+    scale, bias = source.factors["scale"] * source.u, source.factors["bias"] * source.u
+    assert u[COEFFICIENTS.index("Kxz")] == pytest.approx(scale * abs(K[0, 2]), rel=1e-6)
+    assert u[COEFFICIENTS.index("U0x")] == pytest.approx(bias * abs(K[0, 0]), rel=1e-3)
+    u = make_budget(paper_setup(), [found["turn_on"]], "closed-form").combined.u
+    assert u[COEFFICIENTS.index("U0y")] == pytest.approx(20e-6 * abs(K[1, 1]), rel=1e-9)
+    assert u[COEFFICIENTS.index("Kyy")] == pytest.approx(0.0, abs=1e-12)
+
+
 @pytest.mark.parametrize(("coefficient", "part"), [("Kxx", 0.7071), ("Kyy", 0.75), ("Kzz", 0.75)])
 def test_a_cubic_term_leaks_into_the_scale_factors(coefficient, part):
     """a_x^3 gives 0.7071 K3 to Kxx by (7), a_y^3 and a_z^3 give 0.75 K3."""

@@ -51,7 +51,7 @@ def test_a_square_of_the_sensor_is_named_with_its_size():
     if first.name == "quadratic_nonlinearity":
         value = first.parameters["K2"]["y"]
         assert abs(value["value"] - 2000.0) < 4 * value["u"]
-    assert found.gap["after"] < 0.2 * found.gap["before"]
+    assert found.gap.after < 0.2 * found.gap.before
 
 
 def test_a_zero_that_settles_in_time_is_found():
@@ -61,7 +61,7 @@ def test_a_zero_that_settles_in_time_is_found():
     found = diagnose_free([positions(2, 40, add=settling)])
     first = found.found[0]
     assert "warm_up" in {first.name, *first.cannot_tell_from}
-    assert found.gap["after_rms"] < 0.5 * found.gap["before_rms"]
+    assert found.gap.after_rms < 0.5 * found.gap.before_rms
 
 
 def test_a_position_in_motion_stands_apart_and_is_left_out():
@@ -116,7 +116,7 @@ def test_the_zeros_of_a_real_board_change_between_records_alike_in_all_sensors()
     words = found.found[0].words
     assert "common to the sensors" in words
     assert "cause is not determined" in words
-    assert found.gap["after"] < 2
+    assert found.gap.after < 2
 
 
 def test_too_few_positions_are_refused_with_what_to_do():
@@ -124,6 +124,31 @@ def test_too_few_positions_are_refused_with_what_to_do():
         diagnose_free([positions(5, 8)])
 
 
+def test_so_many_as_determine_the_coefficients_say_nothing_of_what_is_missing():
+    with pytest.raises(
+        CalibrationError, match=r"10 free positions leave 1 to tell the noise, .* measure 2 more"
+    ):
+        diagnose_free([positions(5, 10)])
+    # a fifth held out leaves too few: the gap is not measured, and nothing is named by it
+    few = diagnose_free([positions(5, 13)])
+    assert few.gap.to_dict()["before"] is None
+    assert few.verdict != "named"
+
+
 def test_only_tables_of_free_positions_are_taken():
     assert all_free([positions(1)])
     assert not all_free([])
+
+
+def test_readings_in_motion_are_refused_and_not_explained():
+    moving = positions(6, 60)
+    moving.signal[:] *= np.random.default_rng(6).uniform(0.5, 1.5, (60, 1))
+    with pytest.raises(CalibrationError, match=r"no readings at rest|do not lie on an ellipsoid"):
+        diagnose_free([moving])
+
+
+def test_of_one_sensor_each_table_is_a_record_though_the_times_are_the_same():
+    tables = [positions(7, 25), positions(8, 25)]
+    tables[1].time_s[:] = tables[0].time_s
+    assert len(np.unique(make_rows(tables, one_sensor=True).record)) == 2
+    assert make_rows(tables).sensors == 2

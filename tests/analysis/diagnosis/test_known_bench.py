@@ -119,3 +119,11 @@ def test_equal_volts_in_three_channels_point_at_what_they_share():
     assert effect.name == "voltmeter_warm_up"
     assert "warm_up" in effect.cannot_tell_from
     assert found.verdict == "confounded"
+
+
+def test_what_nobody_judged_is_said():
+    told = NOTHING_KNOWN.not_judged(paper_run(np.random.default_rng(1)))
+    assert "range_offset, meters_exchanged, channel_crosstalk" in told or "channel_crosstalk" in told
+    assert "--bench FILE" in told
+    known = KnownBench(own_meters=True, fixed_ranges=True, scale_on_axis=False)
+    assert known.not_judged(paper_run(np.random.default_rng(1))) == ""

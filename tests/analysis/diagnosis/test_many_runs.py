@@ -147,3 +147,28 @@ def test_coefficients_of_several_blocks_are_each_its_own():
     guesses = [np.diag(part.block.K) for part in system.parts]
     assert guesses[1] == pytest.approx(1.01 * guesses[0], rel=1e-3)
     assert pytest.approx(U0, abs=5e-3) == system.parts[0].block.U0
+
+
+def noisier(table, rng, sizes):
+    """The readings with more noise, of sizes (3,) in units of that which they have."""
+    return replace(
+        table, signal=table.signal + rng.normal(0.0, NOISE_V, table.signal.shape) * np.array(sizes)
+    )
+
+
+@pytest.mark.slow
+def test_noise_of_each_channel_and_tails_are_taken_as_they_are_in_several_runs(cache):
+    """A third channel with three times the noise, and one reading in forty ten times off: nothing is missing."""
+    rng = np.random.default_rng(12)
+    tables = [noisier(table, rng, [0.0, 0.0, 3.0]) for table in runs(3, 13)]
+    found = diagnose(joined(tables), MODEL, LIMITS, SCALE, cache)
+    assert found.verdict == "agrees"
+    x, y, z = found.noise_by_channel
+    assert 2.4 < z / np.sqrt(x * y) < 4.0  # each of 100 and more degrees of freedom: known to a tenth
+    tailed = []
+    for table in runs(3, 14):
+        far = rng.random(table.signal.shape) < 1 / 40
+        tailed.append(replace(table, signal=table.signal + far * rng.normal(0.0, 6 * NOISE_V, far.shape)))
+    found = diagnose(joined(tailed), MODEL, LIMITS, SCALE, cache)
+    assert found.verdict == "agrees"
+    assert any("tails" in kind.words for kind in found.noise_kinds)

@@ -1,0 +1,313 @@
+"""The block's supply in a run: switched as the bench file says, looked at, left as is safe for the block.
+
+A rail that is not as it should be stops a run before a reading is believed: the supply is asked before each and
+after it, and now and then in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from bench.files.bench.rails import RailSection, UnitSupplySection
+from bench.readings.supplied import Rail
+from bench.run.events import EventType
+from bench.run.prompts import ask
+from drivers.clock import Clock
+from drivers.interfaces import (
+    BadReading,
+    BenchError,
+    InstrumentLost,
+    InstrumentRefused,
+    OutputState,
+    Person,
+    PowerSupply,
+    Prompt,
+    PromptKind,
+    SetOtherwise,
+    SupplyLimits,
+)
+
+WATCH_S: Final = 10.0
+"""So often the rails are looked at while something is waited for."""
+IN_RUSH_S: Final = 2.0
+"""After switching on; then a rail is looked at for the first time."""
+NAP_S: Final = 1.0
+
+ANEW: Final = "switch off and set anew"
+STAYED_ON: Final = "it stayed on"
+WAS_OFF: Final = "it was off"
+
+_PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
+"""Failures to look that the next look may not meet; a reading meets them again, and is not believed."""
+
+
+class RailFault(BenchError):
+    """A rail of the block is not as it should be: nothing that was read since it was last seen well is believed."""
+
+
+@dataclass(frozen=True)
+class Feeding:
+    """How the bench file says that the block is fed, and what the supply can do, where that is known."""
+
+    section: UnitSupplySection
+    limits: SupplyLimits | None = None
+
+
+@dataclass
+class UnitPower:
+    """The block's supply, on a `clock` whose time since the run began is `now_s`.
+
+    `nap` is called while something is waited for, and hears wishes; `tell` records what was done. `on` is whether
+    the block is on by what was done and seen, `off_since_s` since when it is off (s since the run began, None where
+    nobody knows), `on_since_s` since when it is on, on the clock; `in_charge` whether this run has switched it, or
+    taken it as it was found.
+    """
+
+    supply: PowerSupply
+    fed: Feeding
+    person: Person
+    clock: Clock
+    now_s: Callable[[], float]
+    nap: Callable[[], None]
+    tell: Callable[[EventType, dict[str, Any]], None]
+    on: bool = field(default=False, init=False)
+    in_charge: bool = field(default=False, init=False)
+    off_since_s: float | None = None
+    on_since_s: float = field(default=0.0, init=False)
+    _left_on: bool = field(default=False, init=False)
+    _looked_s: float = field(default=0.0, init=False)
+    _seen: Mapping[str, Rail] = field(default_factory=dict, init=False)
+
+    @property
+    def section(self) -> UnitSupplySection:
+        """How the bench file says that the block is fed."""
+        return self.fed.section
+
+    # --- switching -----------------------------------------------------------------------------------
+
+    def have_on(self, key: str) -> None:
+        """See that the block is on, set and protected as the bench file says; one found so is left so.
+
+        One that is found on and set otherwise, or on a part of its rails, is asked about. Raises `RailFault`,
+        `BenchError`.
+        """
+        try:
+            self.supply.set_up(self._settings(), key)
+        except SetOtherwise as found:
+            otherwise = found.cause
+        else:
+            states = self.supply.state(key)
+            on = [rail.name for rail in self.section.rails if self._of(states, rail).on]
+            if not on:
+                self._switch_on(key, set_up=True)
+                return
+            if len(on) == len(self.section.rails):
+                self.on, self.in_charge, self.on_since_s = True, True, self.clock.now_s()
+                self._told("found on", self.look(key))
+                return
+            otherwise = f"of its rails only {', '.join(on)} is on"
+        self._ask_about(otherwise, key)
+        self.switch_off(key)
+        self._switch_on(key)
+
+    def _ask_about(self, otherwise: str, key: str) -> None:
+        """Ask whether a supply that is on and set otherwise may be changed. Raises `BenchError` where not."""
+        prompt = Prompt(
+            id=f"{key}/found",
+            kind=PromptKind.CHOOSE,
+            text=f"The {self.supply.name} is on, and not as the bench file says: {otherwise}. What feeds on it? "
+            "It can be switched off and set as the bench file says, or left as it is, and the run stops",
+            choices=(ANEW, "leave it"),
+            action={"do": "ask"},
+        )
+        if ask(self.person, prompt) != ANEW:
+            raise BenchError(
+                self.supply.name,
+                f"it is on, and not as the bench file says: {otherwise}",
+                "set it, or the bench file, and start again",
+            )
+
+    def _switch_on(self, key: str, *, set_up: bool = False) -> None:
+        """Set up, switch the rails on in their order, look at them. What is on when one fails is switched off."""
+        self._stay_off(key)
+        if not set_up:
+            self.supply.set_up(self._settings(), key)
+        self.in_charge = True
+        try:
+            for number, rail in enumerate(self.section.rails):
+                if number:
+                    self.clock.sleep(self.section.pause)
+                self.supply.switch(rail.output, True, key)
+            self.on_since_s = self.clock.now_s()
+            self.clock.sleep(IN_RUSH_S)
+            rails = self.look(key)
+        except BaseException as error:
+            if trouble := self._off(key):
+                error.add_note(trouble)
+            raise
+        self.on = True
+        self._told("on", rails)
+
+    def switch_off(self, key: str) -> None:
+        """Switch the rails off, in reverse order. Raises `BenchError` where the supply does not obey."""
+        self.in_charge = True
+        self._switch_rails_off(key)
+        self._told("off", {})
+
+    def cycle(self, off_s: float, key: str) -> None:
+        """Switch the block off and on again, off for `off_s` at least, and for the least time that it may be."""
+        self.switch_off(key)
+        self._stay_off(key, off_s)
+        self._switch_on(key)
+
+    def _switch_rails_off(self, key: str) -> None:
+        for number, rail in enumerate(reversed(self.section.rails)):
+            if number:
+                self.clock.sleep(self.section.pause)
+            self.supply.switch(rail.output, False, key)
+        self.on, self.off_since_s = False, self.now_s()
+
+    def _stay_off(self, key: str, off_s: float = 0.0) -> None:
+        """Wait until the block was off as long as it must be; since when it is off is not always known."""
+        least_s = max(off_s, self.section.least_off)
+        since_s = self.now_s() if self.off_since_s is None else self.off_since_s
+        while (left_s := since_s + least_s - self.now_s()) > 0.0:
+            self.nap()
+            self.clock.sleep(min(NAP_S, left_s))
+
+    def _off(self, key: str) -> str:
+        """Switch everything off, whatever happens; return what a person must still do, empty for nothing.
+
+        A person who works the supply is not asked on the way out, but told.
+        """
+        try:
+            if not self.supply.asks_person:
+                with suppress(Exception):
+                    self._switch_rails_off(key)
+                    return ""
+            if to_do := self.supply.switch_all_off():
+                return to_do
+        except Exception as error:
+            why = error.cause if isinstance(error, BenchError) else f"{type(error).__name__}: {error}"
+            return f"could not switch the block off: switch it off by hand ({why})"
+        self.on, self.off_since_s = False, self.now_s()
+        return ""
+
+    def leave(self) -> str:
+        """Leave the block as is safe for it, on every way out; return what a person must still do. Raises nothing.
+
+        What this run has not switched, nor taken over, is left as it was found.
+        """
+        if not self.in_charge or self.section.when_unsafe == "stay-on":
+            return ""
+        self._left_on = self.on
+        return self._off("end/power")
+
+    @property
+    def left_off(self) -> bool:
+        """Whether `leave` has switched the block off."""
+        return self._left_on and not self.on
+
+    # --- looking -------------------------------------------------------------------------------------
+
+    def look(self, key: str) -> Mapping[str, Rail]:
+        """Return what the supply measures at each rail by its name. Raises `RailFault`, and what `state` raises."""
+        states = self.supply.state(key)
+        self._looked_s = self.clock.now_s()
+        wrong = [
+            f"rail {rail.name} {what}" for rail in self.section.rails for what in self._wrong(states, rail)
+        ]
+        if wrong:
+            self.tell(EventType.POWER, {"power": "fault", "wrong": wrong})
+            raise RailFault(
+                self.supply.name,
+                "; ".join(wrong),
+                "find out why before going on; the block is warmed up anew then, and its mounting is another visit",
+            )
+        self._seen = {
+            rail.name: Rail(state.voltage_v, rail.voltage, state.current_a)
+            for rail in self.section.rails
+            for state in (self._of(states, rail),)
+        }
+        return self._seen
+
+    def at_reading(self, key: str) -> Mapping[str, Rail]:
+        """Look before or after a reading; none where the block is off on purpose.
+
+        A person was asked when the block was mounted, and is not asked at each reading. Raises as `look`.
+        """
+        if not self.on:
+            return {}
+        return self._seen if self.supply.asks_person else self.look(key)
+
+    def watch(self, key: str) -> None:
+        """Look when it is time to, while something else goes on. Raises `RailFault` alone."""
+        due = self.clock.now_s() - self._looked_s >= WATCH_S
+        if not self.on or self.supply.asks_person or not due:
+            return
+        try:
+            self.look(key)
+        except RailFault:
+            raise
+        except _PASSING:
+            self._looked_s = self.clock.now_s()
+
+    def is_as_left(self, key: str) -> bool:
+        """Whether the block has been on since it was switched on, by what the supply says, or the person."""
+        if self.supply.asks_person:
+            prompt = Prompt(
+                id=f"{key}/since",
+                kind=PromptKind.CHOOSE,
+                text="The block was on when the run stopped. Has it been on all the time since?",
+                default=WAS_OFF,
+                choices=(STAYED_ON, WAS_OFF),
+                action={"do": "ask"},
+            )
+            return ask(self.person, prompt) == STAYED_ON
+        states = self.supply.state(key)
+        return not any(self._not_on(states, rail) for rail in self.section.rails)
+
+    def _wrong(self, states: Mapping[str, OutputState], rail: RailSection) -> Iterator[str]:
+        """Yield what is wrong with a rail, a phrase each."""
+        state = self._of(states, rail)
+        if not_on := self._not_on(states, rail):
+            yield not_on
+            return
+        if state.limiting:
+            yield f"is in current limit, with {state.voltage_v:.4g} V at {state.current_a:.3g} A"
+        low_v, high_v = rail.window_v
+        if not low_v <= state.voltage_v <= high_v:
+            yield f"has {state.voltage_v:.5g} V, not {low_v:g} to {high_v:g} V"
+        low_a, high_a = rail.current.minimum, rail.current.maximum
+        if not low_a <= state.current_a <= high_a:
+            yield f"gives {state.current_a:.3g} A, not {low_a:g} to {high_a:g} A"
+        limits = self.fed.limits
+        if limits is not None and rail.output in limits.outputs:
+            differences = limits.outputs[rail.output].differences(state.settings, rail.settings)
+            yield from (f"was set otherwise: {what}" for what in differences)
+
+    def _not_on(self, states: Mapping[str, OutputState], rail: RailSection) -> str:
+        """Say that a rail is off, empty where it is on."""
+        state = self._of(states, rail)
+        if state.tripped:
+            return "was switched off by a protection of the supply, which tripped"
+        return "" if state.on else "is off: it was switched off, or the supply was without power"
+
+    def _of(self, states: Mapping[str, OutputState], rail: RailSection) -> OutputState:
+        if rail.output not in states:
+            has = ", ".join(states)
+            raise InstrumentRefused(
+                self.supply.name, f"it has no output {rail.output} (it has {has})", "mend the bench file"
+            )
+        return states[rail.output]
+
+    def _settings(self) -> dict[str, Any]:
+        return {rail.output: rail.settings for rail in self.section.rails}
+
+    def _told(self, what: str, rails: Mapping[str, Rail]) -> None:
+        self.tell(
+            EventType.POWER, {"power": what, "rails": {name: rail.to_json() for name, rail in rails.items()}}
+        )

@@ -1,0 +1,243 @@
+"""Is the platform as level as the record says, and what is that worth?
+
+    python -m benchmarks.levelling --levellings 1000 --runs 300
+
+Levellings by `bench.run.levelling` with a level whose zero is 30 arcsec off in a direction of its own each time:
+how often α1 and α2 of the platform, drawn here, lie within U = 2 u of what the record states, for an electronic
+level (noise, last digit, scale, axes as on the Nivel's data sheet) and a bubble that a person reads. Then
+calibrations of the paper's procedure with and without what the level showed, of the same readings, whose truth
+comes from the geometry of tests/support/paper_bench.py: rms of (estimate - truth)/u of each coefficient, and by how
+much u is smaller, beside what least squares with known noise makes of these priors. Exit status 1 where a bar is
+broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+from dataclasses import dataclass, field
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+import numpy as np
+from scipy import stats
+
+from bench.analysis.calibration import calibrate
+from bench.base.arrays import Floats
+from bench.model import ForwardModel
+from bench.model.block import COEFFICIENTS
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.procedure.plan import Level as LevelStep
+from bench.readings.levelled import Seen, with_levels
+from bench.readings.table import make_readings
+from bench.run.levelling import Levelling
+from bench.run.workbench import Instruments
+from drivers.interfaces import Answer, Direction, HeadPosition, Identity, Inclination, LevelSizes, Prompt
+from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
+
+ZERO_RAD = 30.0 * ARCSEC
+LEFT_RAD = 5.0 * ARCSEC
+"""What is left of the platform's tilt is uniform within this."""
+NOISE_V = 1e-4
+SETTINGS = 3
+MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+
+
+@dataclass
+class Platform:
+    """The truth of one levelling: a platform, a head set with errors, a level that is wrong in every way."""
+
+    rng: np.random.Generator
+    bubble: bool
+    alpha: Floats = field(default_factory=lambda: np.zeros(2))
+    name: str = "level"
+    asks_person: bool = False
+    _set_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        direction = self.rng.uniform(0.0, 2.0 * np.pi)
+        self.zero = ZERO_RAD * np.array([np.cos(direction), np.sin(direction)])
+        if self.bubble:
+            self.sizes = LevelSizes(0.2 * 5.0 * ARCSEC, 0.05, math.radians(1.0))
+            self.scale = self.rng.normal(0.0, 0.05)
+        else:
+            cross = math.radians(math.hypot(1.0, 2.0)) / math.sqrt(3.0)
+            self.sizes = LevelSizes(math.hypot(4.7e-6, 1e-6 / math.sqrt(12.0)), 0.005 / math.sqrt(3.0), cross)
+            self.scale = self.rng.uniform(-0.005, 0.005)
+        self.askew = self.rng.normal(0.0, self.sizes.cross, 2)
+
+    def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
+        """Set the head: its scale is off by α4, and it is not quite where it was sent."""
+        on_scale = round(self.rng.normal(0.0, 2.0)) * ARCSEC
+        self._set_rad = on_scale + self.rng.normal(0.0, SETTING_U_RAD)
+        return HeadPosition(on_scale, 1)
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Level the platform where that is asked."""
+        if prompt.action["do"] == "level_platform":
+            self.alpha = self.rng.uniform(-LEFT_RAD, LEFT_RAD, 2)
+        return Answer(prompt.id, "yes")
+
+    def inclination(self, key: str, *, turned: bool) -> Inclination:
+        """Show the platform's inclination, in the turned position the other way round."""
+        tilt = self.alpha + np.array([0.0, self._set_rad])
+        seen = (1.0 + self.scale) * (tilt + self.askew * tilt[::-1]) * (-1.0 if turned else 1.0) + self.zero
+        if self.bubble:
+            shown = (
+                np.round((seen / ARCSEC / 5.0 + self.rng.normal(0.0, 0.2, 2)) * 10.0) / 10.0 * 5.0 * ARCSEC
+            )
+        else:
+            shown = np.round((seen + self.rng.normal(0.0, 4.7e-6, 2)) * 1e6) / 1e6
+        return Inclination(float(shown[0]), float(shown[1]))
+
+    def open(self) -> Identity:
+        """It is there."""
+        return Identity("none", "none")
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def levellings(count: int, *, bubble: bool, settings: int = 1, seed: int = 1) -> Floats:
+    """Return (found - true)/u of α1 and α2, shape (count, 2)."""
+    z = np.empty((count, 2))
+    for k in range(count):
+        rng = np.random.default_rng([seed, int(bubble), settings, k])
+        platform = Platform(rng, bubble)
+        step = LevelStep("1/level", "1", 1, settings, 20.0 * ARCSEC)
+        instruments = Instruments([], platform, level=platform)
+        found = Levelling(instruments, platform, SETTING_U_RAD).carry_out(step)
+        told = np.array([found.alpha1_arcsec, found.alpha2_arcsec]) * ARCSEC
+        z[k] = (told - platform.alpha) / (np.array([found.u_alpha1_arcsec, found.u_alpha2_arcsec]) * ARCSEC)
+    return z
+
+
+# --- what it is worth -------------------------------------------------------------------------------
+
+
+def calibrations(k: int, u_level: Floats, seed: int = 2) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return error and u of the readings with the level and without it, (12,) each."""
+    rng = np.random.default_rng([seed, k])
+    installation, pass_number, point, phi = design()
+    angles = rng.normal(
+        0.0, [STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")], (2, 3)
+    )
+    which = np.array([int(label) - 1 for label in installation])
+    setting = rng.normal(0.0, SETTING_U_RAD, len(phi))
+    one, two, three = angles[which].T
+    force = specific_force(installation, phi, one, two, three, setting)
+    signal = force @ K.T + U0 + rng.normal(0.0, NOISE_V, (len(phi), 3))
+    time_s = np.linspace(0.0, 4.0 * 3600.0, len(phi))
+    plain = make_readings(installation, pass_number, point, phi, signal, time_s=time_s)
+    told = (angles[:, :2] + rng.normal(0.0, u_level, (2, 2))) / ARCSEC
+    u = (float(u_level[0] / ARCSEC), float(u_level[1] / ARCSEC))
+    seen = [
+        Seen(0.0, (1, label), True, (float(t[0]), float(t[1])), u)
+        for label, t in zip("12", told, strict=True)
+    ]
+    truth = np.concatenate([K.ravel(), U0])
+    levelled, limited = (calibrate(one, MODEL, STAND_U, 9.81) for one in (with_levels(plain, seen), plain))
+    return (
+        levelled.block.vector - truth,
+        levelled.u_readings,
+        limited.block.vector - truth,
+        limited.u_readings,
+    )
+
+
+def theory(u_level: Floats | None) -> Floats:
+    """Return standard uncertainties (12,) of least squares with known noise and these priors, at the truth."""
+    installation, _, _, phi = design()
+    which = np.array([int(label) - 1 for label in installation])
+    zero = np.zeros((2, 3))
+
+    def signals(unknowns: Floats) -> Floats:
+        angles = unknowns[12:].reshape(2, 3)
+        block, bias = unknowns[:9].reshape(3, 3), unknowns[9:12]
+        one, two, three = angles[which].T
+        return np.asarray(specific_force(installation, phi, one, two, three) @ block.T + bias)
+
+    here = np.concatenate([K.ravel(), U0, zero.ravel()])
+    steps = np.concatenate([np.full(12, 1e-4), np.full(6, 1e-6)])
+    columns = [(signals(here + step) - signals(here - step)).ravel() for step in np.diag(steps)]
+    jacobian = (np.array(columns) / (2.0 * steps[:, None])).T
+    forward, back = (specific_force(installation, phi, alpha4=step) for step in (1e-6, -1e-6))
+    slope = (forward - back) / 2e-6 @ K.T
+    information = np.zeros((18, 18))
+    for row in range(len(phi)):
+        noise = NOISE_V**2 * np.eye(3) + SETTING_U_RAD**2 * np.outer(slope[row], slope[row])
+        own = jacobian[3 * row : 3 * row + 3]
+        information += own.T @ np.linalg.solve(noise, own)
+    limits = np.array([STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")])
+    if u_level is not None:
+        limits = np.concatenate([u_level, limits[2:]])
+    information[12:, 12:] += np.diag(1.0 / np.tile(limits, 2) ** 2)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[:12]))
+
+
+def show_levellings(count: int) -> list[str]:
+    """Print how often the truth is within U; return which bars are broken."""
+    broken = []
+    for bubble in (False, True):
+        for settings in (1, SETTINGS):
+            z = levellings(count, bubble=bubble, settings=settings)
+            within = np.mean(np.abs(z) <= 2.0, axis=0)
+            rms = np.sqrt(np.mean(z**2, axis=0))
+            kind = "bubble" if bubble else "electronic"
+            print(
+                f"{kind:10} {settings} settings: within U α1 {within[0]:.3f}, α2 {within[1]:.3f}; "
+                f"rms z {rms[0]:.3f}, {rms[1]:.3f}"
+            )
+            least = min(0.94, float(stats.binom.ppf(0.001, count, 0.9545)) / count)
+            broken += [f"{kind}: within U {share:.3f}" for share in within if share < least]
+    return broken
+
+
+def show_calibrations(runs: int) -> list[str]:
+    """Print rms z and the shrinking of u beside theory; return which bars are broken."""
+    u_level = np.array([0.5, 1.2]) * ARCSEC
+    parts = [
+        np.array(column) for column in zip(*(calibrations(k, u_level) for k in range(runs)), strict=True)
+    ]
+    error, u, plain_error, plain_u = parts
+    ratio, expected = np.mean(u / plain_u, axis=0), theory(u_level) / theory(None)
+    rows = (
+        ("z, levelled", np.sqrt(np.mean((error / u) ** 2, axis=0))),
+        ("z, limits", np.sqrt(np.mean((plain_error / plain_u) ** 2, axis=0))),
+        ("u ratio", ratio),
+        ("theory", expected),
+        ("scatter ratio", np.sqrt(np.mean(error**2, axis=0) / np.mean(plain_error**2, axis=0))),
+    )
+    print(f"{runs} runs:       " + " ".join(f"{name:>6}" for name in COEFFICIENTS))
+    for what, values in rows:
+        print(f"  {what:14}" + " ".join(f"{value:6.3f}" for value in values))
+    room = 3.0 / np.sqrt(2.0 * runs)
+    z = rows[0][1]
+    return [
+        *(
+            f"z of {n} is {v:.3f}"
+            for n, v in zip(COEFFICIENTS, z, strict=True)
+            if not 0.9 - room <= v <= 1.1 + room
+        ),
+        *(
+            f"u of {n} shrinks to {r:.3f}, not {e:.3f}"
+            for n, r, e in zip(COEFFICIENTS, ratio, expected, strict=True)
+            if abs(r - e) > 0.05
+        ),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--levellings", type=int, default=1000)
+    parser.add_argument("--runs", type=int, default=300)
+    given = parser.parse_args()
+    broken = show_levellings(given.levellings)
+    broken += show_calibrations(given.runs) if given.runs else []
+    print("every bar holds" if not broken else "\n".join(["broken:", *broken]))
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

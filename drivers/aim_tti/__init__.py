@@ -1,0 +1,1 @@
+"""Aim-TTi (Thurlby Thandar) power supplies."""

@@ -1,0 +1,1 @@
+"""HP / Agilent / Keysight E3631A."""

@@ -1,0 +1,1 @@
+"""Leica Nivel210 and Nivel220 two-axis inclination sensors."""

@@ -1,0 +1,248 @@
+"""What power supplies with a wire share: limits first, all is proved, nothing is changed that is on."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+from drivers.interfaces import (
+    Identity,
+    InstrumentRefused,
+    LimitExceeded,
+    OutputSettings,
+    OutputState,
+    SetOtherwise,
+    SupplyLimits,
+)
+from drivers.wire.proving import ProvedSession
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+NUMBER: Final = r"[+-]?\d{1,3}(?:\.\d{1,8})?(?:E[+-]\d{1,3})?"
+"""A voltage or a current as supplies print it."""
+
+SWITCHING_S: Final = 0.5
+"""After switching the unit is left alone for so long: its in-rush is over, an output without load is discharged."""
+
+_ERRORS_ASKED: Final = 32
+"""More than any queue holds."""
+
+
+class WiredSupply(ABC):
+    """The base of the supplies with a wire, a `PowerSupply`.
+
+    A make says how it is proved, how its outputs are read, set and switched. `limits` are those of the model.
+    """
+
+    asks_person = False
+
+    def __init__(self, name: str, session: MessageSession, clock: Clock, *, limits: SupplyLimits) -> None:
+        self.name = name
+        self.outputs = tuple(limits.outputs)
+        self._limits = limits
+        self._wire = session
+        self._clock = clock
+        self._session = ProvedSession(session, clock, self._prove)
+        self._identity = Identity("", "")
+        self._set: dict[str, OutputSettings] = {}
+
+    def open(self) -> Identity:
+        """Connect and prove the identity; the outputs stay as they are.
+
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        """
+        self._session.open()
+        return self._identity
+
+    def close(self) -> None:
+        """Give the front panel back and let the supply go; its outputs stay as they are. Never raises."""
+        if self._session.opened and self._wire.connection is not None:
+            with contextlib.suppress(Exception):
+                self._go_to_local()
+        self._session.close()
+
+    def state(self, key: str) -> dict[str, OutputState]:
+        """Return how every output is now. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
+        return self._states()
+
+    def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
+        """Set outputs that are off, protections first, and read everything back.
+
+        Raises `LimitExceeded` before anything is sent; `SetOtherwise` for outputs that are on and set otherwise,
+        before anything is changed; `InstrumentRefused` for a protection that has tripped, what keeps the supply
+        from being set, a setting not taken; `InstrumentLost`, `BadReading`.
+        """
+        if wrong := self._limits.transgressions(settings):
+            raise LimitExceeded(
+                self.name, f"cannot do {'; '.join(wrong)}", "change what the unit is given in the bench file"
+            )
+        states = self._states()
+        self._refuse_tripped(states, settings)
+        on = [output for output in settings if states[output].on]
+        if differing := [text for o in on for text in self._differences(o, states[o].settings, settings[o])]:
+            raise SetOtherwise(
+                self.name,
+                f"it was found switched on, and {' and '.join(differing)}",
+                "switch it off, or set it as the bench file has it, then go on",
+            )
+        self._refuse_unready(states, settings)
+        self._set = {}
+        for output, wanted in settings.items():
+            if output not in on:
+                self._apply(output, wanted)
+        self._refuse_troubles([*self._errors(), *self._all_differences(self._states(), settings)])
+        self._set = dict(settings)
+
+    def switch(self, output: str, on: bool, key: str) -> None:
+        """Switch an output, with it all others where the supply has one switch; read it and its settings back.
+
+        Raises `InstrumentRefused` for what was not set up, is set otherwise by now, was not taken or has tripped,
+        and for another output that was switched with it; `InstrumentLost`, `BadReading`.
+        """
+        before = self._states()
+        if on:
+            self._refuse_not_set_up(output, before)
+        self._switch(output, on)
+        self._clock.sleep(SWITCHING_S)
+        after = self._states()
+        self._refuse_tripped(after, [output])
+        if after[output].on != on:
+            raise InstrumentRefused(
+                self.name,
+                f"its output {output} is {_word(after[output].on)}, not {_word(on)}",
+                "see its display; nobody else may control it",
+            )
+        others = [o for o in self.outputs if o != output and after[o].on != before[o].on]
+        if others and not self._limits.together:
+            raise InstrumentRefused(
+                self.name,
+                f"with its output {output} output {' and '.join(others)} went {_word(after[others[0]].on)}",
+                "uncouple its outputs",
+            )
+        self._refuse_troubles(self._errors())
+
+    def switch_all_off(self) -> str:
+        """Switch every output off and read it back; nothing is left for a person to do.
+
+        Raises `InstrumentRefused` for one that stays on, `InstrumentLost`, `BadReading`.
+        """
+        self._switch_all_off()
+        if on := [output for output, state in self._states().items() if state.on]:
+            raise InstrumentRefused(
+                self.name, f"its output {' and '.join(on)} stays on", "switch the supply off by hand"
+            )
+        return ""
+
+    # --- what is refused ----------------------------------------------------------------------------
+
+    def _refuse_tripped(
+        self, states: Mapping[str, OutputState], outputs: Sequence[str] | Mapping[str, object]
+    ) -> None:
+        if tripped := [output for output in outputs if states[output].tripped]:
+            raise InstrumentRefused(
+                self.name,
+                f"a protection has switched its output {' and '.join(tripped)} off",
+                "find out why, mend it and clear the protection at the supply",
+            )
+
+    def _refuse_not_set_up(self, output: str, states: Mapping[str, OutputState]) -> None:
+        """Refuse to switch on what is not set as it was set up, such as after a power cut."""
+        if output not in self._set:
+            raise InstrumentRefused(
+                self.name, f"its output {output} was not set up", "set it up before it is switched on"
+            )
+        concerned = self._set if self._limits.together else {output: self._set[output]}
+        if differing := self._all_differences(states, concerned):
+            raise InstrumentRefused(
+                self.name,
+                f"it is not set any more as it was set up: {' and '.join(differing)}",
+                "see whether its power failed or somebody changed it, then take this step again",
+            )
+
+    def _refuse_troubles(self, troubles: Sequence[str]) -> None:
+        if troubles:
+            raise InstrumentRefused(
+                self.name,
+                f"did not take its settings: {', '.join(troubles)}",
+                "see what these mean in its manual, and check that nobody else controls it",
+            )
+
+    def _all_differences(
+        self, states: Mapping[str, OutputState], settings: Mapping[str, OutputSettings]
+    ) -> list[str]:
+        return [
+            text
+            for output, wanted in settings.items()
+            for text in self._differences(output, states[output].settings, wanted)
+        ]
+
+    def _differences(self, output: str, shown: OutputSettings, wanted: OutputSettings) -> Iterator[str]:
+        for difference in self._limits.outputs[output].differences(shown, wanted):
+            yield f"on its output {output} {difference}"
+
+    # --- what a make says ---------------------------------------------------------------------------
+
+    @abstractmethod
+    def _prove(self) -> None:
+        """Identify the supply and set `_identity`. Raises `InstrumentRefused`."""
+
+    @abstractmethod
+    def _states(self) -> dict[str, OutputState]:
+        """Return how every output is; nothing is changed."""
+
+    def _refuse_unready(  # noqa: B027 - most have nothing of the kind
+        self, states: Mapping[str, OutputState], settings: Mapping[str, OutputSettings]
+    ) -> None:
+        """Raise what keeps the supply from being set so, such as outputs that follow each other."""
+
+    @abstractmethod
+    def _apply(self, output: str, wanted: OutputSettings) -> None:
+        """Send the settings of an output that is off, protections first."""
+
+    @abstractmethod
+    def _switch(self, output: str, on: bool) -> None:
+        """Send that an output is to be switched."""
+
+    @abstractmethod
+    def _switch_all_off(self) -> None:
+        """Send that all outputs are to be switched off."""
+
+    def _errors(self) -> list[str]:
+        """Return the errors that the supply reports, and forget them there."""
+        return []
+
+    def _go_to_local(self) -> None:  # noqa: B027 - most need no command
+        """Give the front panel back, where that takes a command."""
+
+    # --- for makes ----------------------------------------------------------------------------------
+
+    def _identify(self, makers: str, models: Sequence[str], called: str) -> None:
+        """Ask *IDN? and set the identity. Raises `InstrumentRefused` for another instrument."""
+        reply = self._session.ask("*IDN?", r"([^,]+),([^,]+),([^,]*),([^,]*)", "an identity of four fields")
+        maker, model, serial, firmware = (part.strip() for part in reply.split(","))
+        if model not in models or re.fullmatch(makers, maker, re.IGNORECASE) is None:
+            raise InstrumentRefused(
+                self.name,
+                f"{self._session.resource} is {reply!r}, not {called}",
+                "check address and model in the bench file",
+            )
+        self._identity = Identity(maker, model, "" if serial == "0" else serial, firmware)
+
+    def _scpi_errors(self) -> list[str]:
+        """Empty the error queue of an SCPI supply and return what stood in it."""
+        errors = []
+        for _ in range(_ERRORS_ASKED):
+            reply = self._session.ask("SYST:ERR?", r'[+-]?\d+,"[^"]*"', "an error number and text")
+            if int(reply.partition(",")[0]) == 0:
+                break
+            errors.append(f"error {reply}")
+        return errors
+
+
+def _word(on: bool) -> str:
+    return "on" if on else "off"

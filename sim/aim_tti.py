@@ -1,0 +1,314 @@
+"""A simulated Aim-TTi PL-P or CPX, whose outputs feed the block of the world. Its dialect is not SCPI.
+
+Commands of a message are separated by semicolons, each reply is a line of its own. What is not carried out is told
+by registers alone: *ESR? and EER?. Simulated is what sets, protects, switches and watches its outputs; of the
+over-current trip only its highest setting, at which nothing trips.
+Sources: as in the facts; PL & PL-P Series Instruction Manual, "Remote commands".
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from drivers.aim_tti import facts
+from sim.supply import Outputs
+from sim.wires.session import LineEnds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim.world.rails import Stage
+    from sim.world.world import World
+
+_COMMAND: Final = re.compile(
+    r"(?P<name>\*?[A-Z]+?)(?:(?P<output>\d)(?P<kind>[VO])?)?(?P<ask>\?)?"
+    r"(?:\s+(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?))?"
+)
+_OUT_OF_RANGE: Final = 100
+_EMPTY_STORE: Final = 102
+_NO_OUTPUT: Final = 103
+_WHILE_ON: Final = 104
+_STORES: Final = 10
+_LOW_RANGE_A: Final = 0.5
+_OF_HIGHEST: Final = 1.1
+_STEPS: Final = {"V": 0.01, "I": 0.01}
+_ADDRESSES: Final = {"ADDRESS": "11", "IPADDR": "127.0.0.1", "NETMASK": "255.255.255.0", "NETCONFIG": "DHCP"}
+
+
+class _Refused(Exception):
+    """A command that is not carried out: the bit of *ESR?, the number for EER?."""
+
+    def __init__(self, bit: int, number: int = 0) -> None:
+        super().__init__(number)
+        self.bit = bit
+        self.number = number
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A command in its parts: `V1O?` is of the name V, the output 1, the kind O, and asks."""
+
+    name: str
+    output: str
+    kind: str
+    asks: bool
+    text: str
+
+    @property
+    def number(self) -> float:
+        if not self.text:
+            raise _Refused(facts.COMMAND_ERROR)
+        return float(self.text)
+
+    @property
+    def flag(self) -> bool:
+        if self.number not in (0.0, 1.0):
+            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
+        return self.number == 1.0
+
+
+class AimTti:
+    """The supply; `model` is one of those in its facts. A message is ended by LF, a reply by CR LF."""
+
+    line_ends = LineEnds((b"\n",), reply=b"\r\n")
+
+    def __init__(self, world: World, *, model: str = "PL303QMD-P") -> None:
+        self.model = model
+        self._limits: dict[str, dict[str, Any]] = facts.OUTPUTS[model]
+        self._event, self._error = facts.POWER_ON, 0
+        self._config = int(facts.INDEPENDENT)
+        self._locked = False
+        self._low_range: set[str] = set()
+        self._steps: dict[tuple[str, str], float] = {}
+        self._stored: dict[tuple[str, int], tuple[float, float]] = {}
+        self._told_trips: set[str] = set()
+        self._outputs = Outputs(world, self._limits, self._preset, self.power_cycle)
+        self._of_output: dict[str, Callable[[_Told, Stage], str | None]] = {
+            "V": self._voltage, "I": self._current, "OVP": self._over_voltage, "OCP": self._over_current,
+            "OP": self._switch, "LSR": self._limit_events, "IRANGE": self._range, "SAV": self._save,
+            "RCL": self._recall, "DAMPING": lambda told, stage: None,
+            **dict.fromkeys(("DELTAV", "DELTAI"), self._step),
+            **dict.fromkeys(("INCV", "INCI", "DECV", "DECI"), self._count),
+        }  # fmt: skip
+        self._of_supply: dict[str, Callable[[_Told], str | None]] = {
+            "OPALL": self._switch_all, "CONFIG": self._configure, "TRIPRST": lambda told: self._reset_trips(),
+            "LOCAL": lambda told: None, "IFLOCK": self._lock, "IFUNLOCK": lambda told: self._unlock(),
+            "EER": lambda told: self._take_error(), "QER": lambda told: "0",
+            "*ESR": lambda told: self._take_event(),
+            "*STB": lambda told: "0", "*IDN": lambda told: facts.IDENTITY.format(model=self.model),
+            "*OPC": lambda told: "1" if told.asks else None, "*TST": lambda told: "0", "*WAI": lambda told: None,
+            "*CLS": lambda told: self._clear(), "*RST": lambda told: self._outputs.reset(),
+            **dict.fromkeys(_ADDRESSES, lambda told: _ADDRESSES[told.name]),
+        }  # fmt: skip
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Carry out a message; without mains nothing is answered."""
+        if not self._outputs.has_mains:
+            return None
+        units = message.decode("ascii", "replace").upper().split(";")
+        lines = [
+            reply for unit in units if unit.strip() and (reply := self._carry_out(unit.strip())) is not None
+        ]
+        return "\r\n".join(lines).encode("ascii") if lines else None
+
+    def device_clear(self) -> None:
+        """There is nothing under way."""
+
+    def input_overflow(self) -> None:
+        """Take a line that is too long for a command that it does not know."""
+        self._event |= facts.COMMAND_ERROR
+
+    def press_local(self) -> None:
+        """Press LOCAL on the front panel: the next command makes it remote again."""
+
+    def power_cycle(self) -> None:
+        """Switch off and on: settings are kept, all outputs are off."""
+        self._event, self._error, self._locked = facts.POWER_ON, 0, False
+        for name in self._outputs.names:
+            self._outputs.change(name, on=False, tripped=None)
+
+    def _preset(self, name: str) -> dict[str, Any]:
+        limits = self._limits[name]
+        protection = limits.get("over_voltage_v")
+        return {
+            "set_v": 1.0,
+            "limit_a": 1.0,
+            "trip_v": None if protection is None else protection[1],
+            "trip_after_s": None,
+        }
+
+    def _carry_out(self, unit: str) -> str | None:
+        match = _COMMAND.fullmatch(unit)
+        try:
+            if match is None:
+                raise _Refused(facts.COMMAND_ERROR)
+            told = _Told(
+                match["name"],
+                match["output"] or "",
+                match["kind"] or "",
+                bool(match["ask"]),
+                match["number"] or "",
+            )
+            if told.output and told.name in self._of_output:
+                if told.output not in self._outputs.names:
+                    raise _Refused(facts.EXECUTION_ERROR, _NO_OUTPUT)
+                return self._of_output[told.name](told, self._outputs.stage(told.output))
+            if not told.output and told.name in self._of_supply:
+                return self._of_supply[told.name](told)
+            raise _Refused(facts.COMMAND_ERROR)
+        except _Refused as refusal:
+            self._event |= refusal.bit
+            self._error = refusal.number or self._error
+            return None
+
+    # --- an output ----------------------------------------------------------------------------------
+
+    def _voltage(self, told: _Told, stage: Stage) -> str | None:
+        """V1 5, V1V 5 (with verify), V1?, V1O?."""
+        if told.asks and told.kind == "O":
+            return f"{self._outputs.shown(told.output).voltage_v:.3f}V"
+        if told.asks:
+            return f"V{told.output} {stage.set_v:.3f}"
+        self._outputs.change(told.output, set_v=self._within(told, "voltage_v"))
+        return None
+
+    def _current(self, told: _Told, stage: Stage) -> str | None:
+        """I1 0.5, I1?, I1O?."""
+        if told.asks and told.kind == "O":
+            return f"{self._outputs.shown(told.output).current_a:.3f}A"
+        if told.asks:
+            return f"I{told.output} {stage.limit_a:.3f}"
+        wanted_a = self._within(told, "current_a")
+        if told.output in self._low_range and wanted_a > _LOW_RANGE_A:
+            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
+        self._outputs.change(told.output, limit_a=wanted_a)
+        return None
+
+    def _over_voltage(self, told: _Told, stage: Stage) -> str | None:
+        if "over_voltage_v" not in self._limits[told.output]:
+            raise _Refused(facts.COMMAND_ERROR)
+        if told.asks:
+            return f"VP{told.output} {stage.trip_v or 0.0:.2f}"
+        self._outputs.change(told.output, trip_v=self._within(told, "over_voltage_v"))
+        return None
+
+    def _over_current(self, told: _Told, stage: Stage) -> str | None:
+        if "over_voltage_v" not in self._limits[told.output]:
+            raise _Refused(facts.COMMAND_ERROR)
+        highest_a = _OF_HIGHEST * self._limits[told.output]["current_a"][1]
+        if told.asks:
+            return f"CP{told.output} {highest_a:.2f}"
+        if told.number < highest_a - 1e-9:
+            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
+        return None
+
+    def _switch(self, told: _Told, stage: Stage) -> str | None:
+        if told.asks:
+            return str(int(stage.on))
+        self._outputs.switch(told.output, told.flag)
+        return None
+
+    def _limit_events(self, told: _Told, stage: Stage) -> str:
+        """Answer how an output regulates, and what has tripped since that was last asked."""
+        if stage.on:
+            self._told_trips.discard(told.output)
+            limits = self._outputs.shown(told.output).limiting
+            return str(facts.LIMITING if limits else facts.REGULATING)
+        if stage.tripped is None or told.output in self._told_trips:
+            return "0"
+        self._told_trips.add(told.output)
+        return str(facts.OVER_VOLTAGE if stage.tripped == "voltage" else facts.OVER_CURRENT)
+
+    def _range(self, told: _Told, stage: Stage) -> str | None:
+        """IRANGE1 1 is the low range, 2 the high one; not while the output is on."""
+        if told.asks:
+            return "1" if told.output in self._low_range else "2"
+        if told.number not in (1.0, 2.0):
+            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
+        if stage.on:
+            raise _Refused(facts.EXECUTION_ERROR, _WHILE_ON)
+        if told.number == 1.0:
+            self._low_range.add(told.output)
+            self._outputs.change(told.output, limit_a=min(stage.limit_a, _LOW_RANGE_A))
+        else:
+            self._low_range.discard(told.output)
+        return None
+
+    def _step(self, told: _Told, stage: Stage) -> str | None:
+        """DELTAV1 0.1 sets the step of INCV1 and DECV1."""
+        what = told.name[-1]
+        if told.asks:
+            return f"{told.name}{told.output} {self._steps.get((what, told.output), _STEPS[what]):.3f}"
+        self._steps[what, told.output] = told.number
+        return None
+
+    def _count(self, told: _Told, stage: Stage) -> None:
+        what = told.name[-1]
+        step = self._steps.get((what, told.output), _STEPS[what]) * (1 if told.name.startswith("INC") else -1)
+        wanted = (stage.set_v if what == "V" else stage.limit_a) + step
+        {"V": self._voltage, "I": self._current}[what](
+            _Told(what, told.output, "", False, f"{wanted:.4f}"), stage
+        )
+
+    def _save(self, told: _Told, stage: Stage) -> None:
+        self._stored[told.output, self._store(told)] = (stage.set_v, stage.limit_a)
+
+    def _recall(self, told: _Told, stage: Stage) -> None:
+        stored = self._stored.get((told.output, self._store(told)))
+        if stored is None:
+            raise _Refused(facts.EXECUTION_ERROR, _EMPTY_STORE)
+        self._outputs.change(told.output, set_v=stored[0], limit_a=stored[1])
+
+    @staticmethod
+    def _store(told: _Told) -> int:
+        if told.number not in range(_STORES):
+            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
+        return round(told.number)
+
+    def _within(self, told: _Told, what: str) -> float:
+        low, high = self._limits[told.output][what]
+        if not low <= told.number <= high:
+            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
+        return told.number
+
+    # --- the supply ---------------------------------------------------------------------------------
+
+    def _switch_all(self, told: _Told) -> None:
+        for name in self._outputs.names:
+            self._outputs.switch(name, told.flag)
+
+    def _configure(self, told: _Told) -> str | None:
+        if told.asks:
+            return str(self._config)
+        if told.number not in (0.0, 2.0):
+            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
+        self._config = round(told.number)
+        return None
+
+    def _reset_trips(self) -> None:
+        self._outputs.clear_trips()
+        self._told_trips.clear()
+
+    def _lock(self, told: _Told) -> str:
+        """IFLOCK takes the lock and answers 1, as it does when it is asked whether one has it."""
+        self._locked |= not told.asks
+        return str(int(self._locked))
+
+    def _unlock(self) -> str:
+        self._locked = False
+        return "0"
+
+    def _take_error(self) -> str:
+        error, self._error = self._error, 0
+        return str(error)
+
+    def _take_event(self) -> str:
+        event, self._event = self._event, 0
+        return str(event)
+
+    def _clear(self) -> None:
+        self._event, self._error = 0, 0

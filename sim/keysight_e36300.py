@@ -1,0 +1,265 @@
+"""A simulated Keysight E36311A, E36312A or E36313A, whose outputs feed the block of the world.
+
+Simulated is what sets, protects, switches and watches its outputs; lists, triggers, data logging are not.
+Source: E36300 Series Programming Guide, as in the facts.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from drivers.keysight_e36300 import facts
+from sim.scpi.instrument import Command, ScpiInstrument
+from sim.scpi.lists import OutputList, listed
+from sim.scpi.status import ScpiError
+from sim.scpi.values import DEF, MAX, MIN, Boolean, Number, Text, numbered, quoted, within
+from sim.supply import Outputs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim.scpi.values import CommandParameter, Value
+    from sim.world.rails import Stage
+    from sim.world.world import World
+
+_LEVEL: Final = "[:LEVel][:IMMediate][:AMPLitude]"
+_WORDS: Final = (MIN, MAX, DEF)
+_LONGEST_DELAY_S: Final = 3600.0
+_DEFAULT_DELAY_S: Final = 0.05
+_SUMMARY: Final = 1 << 13
+
+
+class KeysightE36300(ScpiInstrument):
+    """A supply of the series. Commands without a channel list are for the selected output."""
+
+    def __init__(self, world: World, *, model: str = "E36312A") -> None:
+        super().__init__(numbered(facts.IDENTITY.format(model=model), 1))
+        self.model = model
+        self._delays_s: dict[str, float] = {}
+        self._selected = "1"
+        self._text = ""
+        self._outputs = Outputs(world, facts.OUTPUTS[model], self._preset, self.power_cycle)
+        self.add(self._settings_commands())
+        self.add(self._watching_commands())
+        self.add(self._system_commands())
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool] = lambda: False) -> bytes | None:
+        """Carry out a message; without mains nothing is answered."""
+        return super().handle(message, interrupted) if self._outputs.has_mains else None
+
+    def press_local(self) -> None:
+        """Press Lock/Unlock on the front panel: over LAN it goes on being remote."""
+
+    def reset(self) -> None:
+        """Carry out *RST."""
+        self._selected, self._delays_s, self._text = "1", {}, ""
+        self._outputs.reset()
+
+    def _preset(self, name: str) -> dict[str, Any]:
+        limits = self._outputs_limits[name]
+        return {
+            "set_v": 0.0,
+            "limit_a": limits["current_a"][1] / 1.03,
+            "trip_v": max(limits["over_voltage_v"], key=abs),
+            "trip_after_s": None,
+        }
+
+    @property
+    def _outputs_limits(self) -> dict[str, Any]:
+        return facts.OUTPUTS[self.model]
+
+    # --- commands -----------------------------------------------------------------------------------
+
+    def _settings_commands(self) -> list[Command]:
+        return [
+            *self._both(
+                f"[SOURce:]VOLTage{_LEVEL}", self._set_voltage, lambda s: s.set_v, Number("V", _WORDS)
+            ),
+            *self._both(
+                f"[SOURce:]CURRent{_LEVEL}", self._set_current, lambda s: s.limit_a, Number("A", _WORDS)
+            ),
+            *self._both(
+                "[SOURce:]VOLTage:PROTection[:LEVel]",
+                self._set_protection,
+                lambda s: s.trip_v or 0.0,
+                Number("V", _WORDS),
+            ),
+            Command("[SOURce:]VOLTage:PROTection:TRIPped?", self._each(self._over_voltage), (OutputList(),)),
+            Command("[SOURce:]VOLTage:PROTection:CLEar", self._clear, (OutputList(),)),
+            Command("[SOURce:]CURRent:PROTection:STATe", self._set_over_current, (Boolean(), OutputList())),
+            Command("[SOURce:]CURRent:PROTection:STATe?", self._each(self._over_current_on), (OutputList(),)),
+            Command("[SOURce:]CURRent:PROTection:DELay[:TIME]", self._set_delay, (Number("S"), OutputList())),
+            Command("[SOURce:]CURRent:PROTection:DELay[:TIME]?", self._each(self._delay), (OutputList(),)),
+            Command("[SOURce:]CURRent:PROTection:TRIPped?", self._each(self._over_current), (OutputList(),)),
+            Command("[SOURce:]CURRent:PROTection:CLEar", self._clear, (OutputList(),)),
+            Command("OUTPut[:STATe]", self._switch, (Boolean(), OutputList())),
+            Command(
+                "OUTPut[:STATe]?", self._each(lambda n: str(int(self._outputs.stage(n).on))), (OutputList(),)
+            ),
+            Command("OUTPut:PROTection:CLEar", self._clear, (OutputList(),)),
+            Command("INSTrument[:SELect]", self._select, (_Selected(),)),
+            Command("INSTrument[:SELect]?", lambda: f"CH{self._selected}"),
+            Command("INSTrument:NSELect", self._select_number, (Number(words=()),)),
+            Command("INSTrument:NSELect?", lambda: self._selected),
+        ]
+
+    def _watching_commands(self) -> list[Command]:
+        summary = "STATus:QUEStionable:INSTrument:ISUMmary"
+        return [
+            Command("MEASure[:SCALar][:VOLTage][:DC]?", self._each(self._volts), (OutputList(),)),
+            Command("MEASure[:SCALar]:CURRent[:DC]?", self._each(self._amperes), (OutputList(),)),
+            Command("STATus:QUEStionable:CONDition?", self._summary),
+            *(
+                Command(f"{summary}{name}{node}?", lambda name=name: self.number(self._condition(name)))
+                for name in self._outputs.names
+                for node in (":CONDition", "[:EVENt]")
+            ),
+        ]
+
+    def _system_commands(self) -> list[Command]:
+        return [
+            Command("DISPlay[:WINDow]:TEXT[:DATA]", self._write_text, (Text(),)),
+            Command("DISPlay[:WINDow]:TEXT[:DATA]?", lambda: quoted(self._text)),
+            Command("DISPlay[:WINDow]:TEXT:CLEar", lambda: self._write_text("")),
+            Command("SYSTem:BEEPer[:IMMediate]", lambda: None),
+            Command("SYSTem:VERSion?", lambda: "1999.0"),
+            *(Command(f"SYSTem:{word}", lambda: None) for word in ("LOCal", "REMote", "RWLock")),
+        ]
+
+    def _both(
+        self,
+        notation: str,
+        set_one: Callable[[str, Value], None],
+        get: Callable[[Stage], float],
+        parameter: CommandParameter,
+    ) -> tuple[Command, Command]:
+        """Return the command that sets something of outputs, and the one that asks for it."""
+
+        def put(value: Value, outputs: Value = "") -> None:
+            for name in self._listed(outputs):
+                set_one(name, value)
+
+        def ask(name: str) -> str:
+            return _number(get(self._outputs.stage(name)))
+
+        return Command(notation, put, (parameter, OutputList())), Command(
+            f"{notation}?", self._each(ask), (OutputList(),)
+        )
+
+    def _each(self, ask: Callable[[str], str]) -> Callable[..., str]:
+        """Return what answers a question for each output of a list."""
+        return lambda outputs="": ",".join(ask(name) for name in self._listed(outputs))
+
+    def _listed(self, outputs: Value) -> tuple[str, ...]:
+        if not outputs:
+            return (self._selected,)
+        return tuple(str(number) for number in listed(str(outputs), len(self._outputs.names)))
+
+    # --- settings -----------------------------------------------------------------------------------
+
+    def _set_voltage(self, name: str, value: Value) -> None:
+        """Set a voltage; one beyond the over-voltage protection is refused (-221)."""
+        wanted_v = self._of(name, "voltage_v", value, 0.0)
+        protection_v = self._outputs.stage(name).trip_v
+        if protection_v is not None and abs(wanted_v) > abs(protection_v):
+            raise ScpiError(-221)
+        self._outputs.change(name, set_v=wanted_v)
+
+    def _set_current(self, name: str, value: Value) -> None:
+        default_a = self._outputs_limits[name]["current_a"][1] / 1.03
+        self._outputs.change(name, limit_a=self._of(name, "current_a", value, default_a))
+
+    def _set_protection(self, name: str, value: Value) -> None:
+        """Set the over-voltage protection; one below the voltage trips."""
+        highest_v = max(self._outputs_limits[name]["over_voltage_v"], key=abs)
+        self._outputs.change(name, trip_v=self._of(name, "over_voltage_v", value, highest_v))
+
+    def _of(self, name: str, what: str, value: Value, default: float) -> float:
+        near, far = self._outputs.span(name, what)
+        if isinstance(value, str):
+            return {MIN: near, MAX: far, DEF: default}[value]
+        return within(value, min(near, far), max(near, far))
+
+    def _set_over_current(self, on: Value, outputs: Value = "") -> None:
+        for name in self._listed(outputs):
+            delay_s = self._delays_s.get(name, _DEFAULT_DELAY_S)
+            self._outputs.change(name, trip_after_s=delay_s if on == "1" else None)
+
+    def _over_current_on(self, name: str) -> str:
+        return str(int(self._outputs.stage(name).trip_after_s is not None))
+
+    def _set_delay(self, value: Value, outputs: Value = "") -> None:
+        words = {MIN: 0.0, MAX: _LONGEST_DELAY_S}
+        delay_s = words[value] if isinstance(value, str) else within(value, 0.0, _LONGEST_DELAY_S)
+        for name in self._listed(outputs):
+            self._delays_s[name] = delay_s
+            if self._outputs.stage(name).trip_after_s is not None:
+                self._outputs.change(name, trip_after_s=delay_s)
+
+    def _delay(self, name: str) -> str:
+        return _number(self._delays_s.get(name, _DEFAULT_DELAY_S))
+
+    def _switch(self, on: Value, outputs: Value = "") -> None:
+        for name in self._listed(outputs):
+            self._outputs.switch(name, on == "1")
+
+    def _clear(self, outputs: Value = "") -> None:
+        for name in self._listed(outputs):
+            self._outputs.change(name, tripped=None)
+
+    def _select(self, output: Value) -> None:
+        self._select_number(float(str(output)))
+
+    def _select_number(self, number: float) -> None:
+        self._selected = str(round(within(number, 1, len(self._outputs.names))))
+
+    # --- what it measures ---------------------------------------------------------------------------
+
+    def _volts(self, name: str) -> str:
+        return _number(self._outputs.shown(name).voltage_v)
+
+    def _amperes(self, name: str) -> str:
+        return _number(self._outputs.shown(name).current_a)
+
+    def _over_voltage(self, name: str) -> str:
+        return str(int(self._outputs.stage(name).tripped == "voltage"))
+
+    def _over_current(self, name: str) -> str:
+        return str(int(self._outputs.stage(name).tripped == "current"))
+
+    def _condition(self, name: str) -> int:
+        stage = self._outputs.stage(name)
+        if stage.tripped is not None:
+            return facts.OVER_VOLTAGE if stage.tripped == "voltage" else facts.OVER_CURRENT
+        if not stage.on:
+            return 0
+        return facts.LIMITING if self._outputs.shown(name).limiting else facts.REGULATING
+
+    def _summary(self) -> str:
+        questionable = any(self._condition(name) not in (0, facts.REGULATING) for name in self._outputs.names)
+        return self.number(_SUMMARY if questionable else 0)
+
+    def _write_text(self, text: Value) -> None:
+        self._text = str(text)[:12]
+
+
+class _Selected:
+    """The word for an output: CH1, OUTPut2 or P6V, P25V, N25V as an E3631A has them."""
+
+    optional = False
+
+    def parse(self, text: str) -> Value:
+        """Return its number as text."""
+        word = text.upper()
+        names = {"P6V": "1", "P25V": "2", "N25V": "3"}
+        digit = names.get(word, word[-1:])
+        if word not in names and word.rstrip("123") not in ("CH", "OUTP", "OUTPUT"):
+            raise ScpiError(-224)
+        return digit
+
+
+def _number(value: float) -> str:
+    """Return a number as it prints it: +5.00000000E+00."""
+    return f"{value:+.8E}"

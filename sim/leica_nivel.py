@@ -1,0 +1,111 @@
+"""A simulated Leica Nivel210 or Nivel220 on the platform of the world.
+
+Source: NIVEL200 Technical Reference Manual 1.0. What it averages is one measurement a second since it was placed:
+here the mean of so many at the moment of the question. Adjustment and saving of parameters are not here.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Final
+
+from drivers.leica_nivel import facts
+from sim.wires.session import LineEnds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from drivers.interfaces import LevelAxis
+    from sim.world.world import World
+
+_REQUEST: Final = re.compile(rf"{facts.START}N([0-9A-Z])(C[0-9A-Z]) (.{{1,200}}){facts.END}", re.DOTALL)
+
+
+_FIXED: Final = {
+    "R TS": "OFF", "RB D": "000005 1.0", "RB B": "2 01234---", "RB I": "NIVEL210",
+    "RP OX": "+0.0000", "RP OY": "+0.0000", "RP OT": "+0.0",
+}  # fmt: skip
+
+
+class LeicaNivel:
+    """One sensor, of the address N`sensor`; `along` and `across` as in a bench file."""
+
+    model = "Nivel210"
+
+    def __init__(self, world: World, *, sensor: str = "1", along: str = "+Y", across: str = "+X") -> None:
+        self._world = world
+        self._sensor = sensor
+        self._axes: dict[str, tuple[LevelAxis, float]] = {
+            along[1]: ("along", float(f"{along[0]}1")),
+            across[1]: ("across", float(f"{across[0]}1")),
+        }
+        self.line_ends = LineEnds((b"\r\n",), frame=self._framed, clears=False)
+        self.power_cycle()
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Answer one block; nothing is said to another's, to one of another form, to a command."""
+        request = _REQUEST.fullmatch(message.decode("latin-1"))
+        if request is None or request[1] not in (self._sensor, "0"):
+            return None
+        said = self._answer(request[3])
+        return None if said is None else f"{request[2]}N{self._sensor} {said}".encode("ascii")
+
+    def power_cycle(self) -> None:
+        """Switch off and on."""
+        self._averages = facts.AVERAGES
+        self._switches = {"B": "OFF", "C": "ON", "M": "CONT", "P": "OFF"}
+
+    def device_clear(self) -> None:
+        """There is none: ETX ends a block."""
+
+    def input_overflow(self) -> None:
+        """What is too long is no block."""
+
+    @staticmethod
+    def _framed(said: bytes) -> bytes:
+        return b"\x16\x02" + said + b"\x03" + (sum(said) & 0xFFFF).to_bytes(2, "big")
+
+    # --- what it is asked ---------------------------------------------------------------------------
+
+    def _answer(self, command: str) -> str | None:
+        asked = " ".join(command.split())
+        if asked == "G A":
+            return " ".join(f"{axis}:{self._mrad(axis):+.3f}" for axis in "XY") + f" {self._temperature}"
+        if asked in ("G X", "G Y"):
+            return f"{asked[-1]}:{self._mrad(asked[-1]):+.3f}"
+        if asked == "G P":
+            within = all(abs(self._mrad(axis)) <= facts.RANGE_RAD / facts.MRAD for axis in "XY")
+            return "OK" if within else "F"
+        known = {"G T": self._temperature, "R N": f"{self._averages:03d}", "RB A": self._addresses, **_FIXED}
+        known |= {f"RS {switch}": to for switch, to in self._switches.items()}
+        if asked not in known:
+            self._command(*asked.partition(" ")[::2])
+        return known.get(asked)
+
+    @property
+    def _temperature(self) -> str:
+        return f"T:{self._world.settings.ambient_c:+.1f}"
+
+    @property
+    def _addresses(self) -> str:
+        return f"N{self._sensor} 10 20 30 40 50 60 70"
+
+    def _command(self, verb: str, rest: str) -> None:
+        match verb, rest.split():
+            case "W", ["N", number] if re.fullmatch(r"\d{3}", number):
+                if 1 <= int(number) <= facts.MOST_AVERAGES:
+                    self._averages = int(number)
+            case "S", [("B" | "C" | "P") as switch, ("ON" | "OFF") as to]:
+                self._switches[switch] = to
+            case "S", ["M", ("CONT" | "PRE") as to]:
+                self._switches["M"] = to
+            case ("RES", ["SYS"]) | ("PD", []) | ("PR", []):
+                self.power_cycle()
+
+    def _mrad(self, axis: str) -> float:
+        way, sign = self._axes[axis]
+        shown = sign * self._world.level_shows_rad(way) / facts.MRAD
+        return math.copysign(min(abs(shown), 9.999), shown)

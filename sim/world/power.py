@@ -1,0 +1,328 @@
+"""What feeds the block: the outputs of a power supply, the rails that they feed, what is taken from them.
+
+An output is at each time as it was last set, disturbed or tripped; between these events its voltage is one
+formula, so nothing is integrated. Whether the block has power, and since when, follows from its rails; so does
+every time at which a rail was outside of what the block may be given, whoever brought it there.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from sim.world.rails import (
+    REFERENCE_C,
+    Disturbance,
+    PowerSettings,
+    Rail,
+    Shown,
+    Stage,
+    Trip,
+    Violation,
+)
+
+if TYPE_CHECKING:
+    from sim.world.chance import KeyedNumbers
+
+_CLOSE_S: Final = 1e-6
+"""So exactly is it found when a rail crosses a limit."""
+
+
+def dead_v(settings: PowerSettings, numbers: KeyedNumbers, channel: str, time_s: float) -> float:
+    """Return what an output of the block shows without power, V: next to nothing, but not nothing."""
+    offset = numbers.fixed_random("dead signal", channel).standard_normal()
+    noise = numbers.fixed_random("dead signal", channel, f"{time_s:.6f}").standard_normal()
+    return float(settings.dead_offset_v * offset + settings.dead_noise_v * noise)
+
+
+@dataclass
+class _Output:
+    stages: list[Stage]
+    rails: tuple[Rail, ...] = field(default=())
+
+    @property
+    def last(self) -> Stage:
+        return self.stages[-1]
+
+    def at(self, time_s: float) -> Stage:
+        index = bisect_right(self.stages, time_s, key=lambda stage: stage.since_s) - 1
+        return self.stages[max(0, index)]
+
+
+class Power:
+    """The outputs of the supply and the rails of the block; `block_c` gives the block's temperature at a time.
+
+    A supply changes its outputs with `change`, reads them with `stage` and `shown`; `returned` is called when the
+    mains come back; with `one_switch` its outputs are switched together. All times
+    are those of the world's clock. May be called from any thread.
+    """
+
+    def __init__(
+        self,
+        settings: PowerSettings,
+        now_s: float,
+        block_c: Callable[[float], float],
+        lock: threading.RLock,
+    ) -> None:
+        self.settings = settings
+        self._lock = lock
+        self.violations: list[Violation] = []
+        self.one_switch = False
+        self.returned: Callable[[float], None] = lambda now_s: None
+        self._block_c = block_c
+        self._reached_s = now_s
+        self._outputs: dict[str, _Output] = {}
+        for rail in settings.rails:
+            output = self._output(rail.output)
+            output.rails = (*output.rails, rail)
+        self._lives: list[tuple[float, bool]] = [(now_s, False)]
+        self._coming: list[tuple[float, Callable[[], None]]] = []
+        self._cut_until_s = -math.inf
+
+    # --- what is done to it -------------------------------------------------------------------------
+
+    def change(self, output: str, now_s: float, **changes: object) -> None:
+        """Change an output from now on: its settings, its switch, what disturbs it."""
+        with self._lock:
+            self.advance(now_s)
+            self._change(output, self._reached_s, **changes)
+            self._pass(self._reached_s)
+
+    def disturb(self, disturbance: Disturbance) -> None:
+        """Let something happen when its time comes. Raises `ValueError` for an output without a rail."""
+        fed = [name for name, output in self._outputs.items() if output.rails]
+        if disturbance.output and disturbance.output not in fed:
+            raise ValueError(f"no rail is fed by an output {disturbance.output}; those are {', '.join(fed)}")
+        together = not disturbance.output or (disturbance.kind == "off" and self.one_switch)
+        names = fed if together else [disturbance.output]
+        begin, end = disturbance.at_s, disturbance.at_s + disturbance.lasts_s
+        undisturbed: dict[str, dict[str, object]] = {
+            "sag": {"sag": 0.0},
+            "drift": {"drift_v_s": 0.0, "offset_v": 0.0},
+            "load": {"load": 1.0},
+            "open": {"open": False},
+        }
+        disturbed: dict[str, dict[str, object]] = {
+            "sag": {"sag": disturbance.size},
+            "drift": {"drift_v_s": disturbance.size / 3600.0},
+            "load": {"load": disturbance.size},
+            "open": {"open": True},
+            "off": {"on": False},
+        }
+        if disturbance.kind == "cut":
+            self._at(begin, partial(self._cut, begin, end))
+            self._at(end, lambda: self.returned(end))
+            return
+        for name in names:
+            self._at(begin, partial(self._change, name, begin, **disturbed[disturbance.kind]))
+            if disturbance.kind != "off" and math.isfinite(end):
+                self._at(end, partial(self._change, name, end, **undisturbed[disturbance.kind]))
+
+    # --- what is true -------------------------------------------------------------------------------
+
+    def outputs(self) -> tuple[str, ...]:
+        """Return the outputs that feed a rail."""
+        return tuple(name for name, output in self._outputs.items() if output.rails)
+
+    def stage(self, output: str, now_s: float) -> Stage:
+        """Return how an output is now."""
+        with self._lock:
+            self.advance(now_s)
+            return self._output(output).last
+
+    def shown(self, output: str, now_s: float) -> Shown:
+        """Return what is at the terminals of an output now."""
+        with self._lock:
+            stage = self.stage(output, now_s)
+            return self._shown(self._output(output), stage, now_s)
+
+    def has_mains(self, now_s: float) -> bool:
+        """Whether the supply has power itself."""
+        with self._lock:
+            self.advance(now_s)
+            return now_s >= self._cut_until_s
+
+    def rail_v(self, name: str, time_s: float) -> float:
+        """Return the voltage of a rail at the block at a time up to now, V."""
+        with self._lock:
+            self.advance(time_s)
+            rail = next(rail for rail in self.settings.rails if rail.name == name)
+            return self._rail_v(rail, time_s)
+
+    def above_nominal_v(self, time_s: float) -> tuple[float, ...]:
+        """Return the voltage of each rail at the block less its nominal one at a time up to now, V."""
+        with self._lock:
+            self.advance(time_s)
+            return tuple(self._rail_v(rail, time_s) - rail.nominal_v for rail in self.settings.rails)
+
+    def on_since_s(self, time_s: float) -> float | None:
+        """Return since when the block has power at a time up to now, None where it has none or needs none."""
+        if not self.settings.rails:
+            return None
+        with self._lock:
+            self.advance(time_s)
+            index = bisect_right(self._lives, time_s, key=lambda life: life[0]) - 1
+            since_s, alive = self._lives[max(0, index)]
+            return since_s if alive else None
+
+    def feeds_block(self, time_s: float) -> bool:
+        """Whether the block works at a time up to now: all of its rails are as they should be, or it has none."""
+        return not self.settings.rails or self.on_since_s(time_s) is not None
+
+    @property
+    def switchings(self) -> tuple[tuple[float, bool], ...]:
+        """When the block got power (True) and lost it again; it begins without."""
+        return tuple(self._lives)
+
+    # --- time goes on -------------------------------------------------------------------------------
+
+    def advance(self, now_s: float) -> None:
+        """Let happen what comes until now: what disturbs, and what trips in between. To be called with the lock."""
+        while self._reached_s < now_s:
+            until_s = min(now_s, self._coming[0][0]) if self._coming else now_s
+            self._pass(max(until_s, self._reached_s))
+            while self._coming and self._coming[0][0] <= self._reached_s:
+                self._coming.pop(0)[1]()
+                self._pass(self._reached_s)
+
+    def _pass(self, until_s: float) -> None:
+        """Go on to a time before which nothing disturbs, and let what trips on the way trip, at once as well."""
+        while True:
+            trips = [(self._trips_at(output, until_s), name) for name, output in self._outputs.items()]
+            first_s, name, why = min(
+                ((at_s, name, why) for (at_s, why), name in trips if why), default=(math.inf, "", None)
+            )
+            end_s = min(until_s, first_s)
+            self._watch(self._reached_s, end_s)
+            self._reached_s = end_s
+            if why is None or first_s > until_s:
+                return
+            self._change(name, end_s, on=False, tripped=why)
+            self._watch(end_s, end_s)
+
+    def _trips_at(self, output: _Output, until_s: float) -> tuple[float, Trip | None]:
+        """Return when and why an output trips until a time."""
+        stage, begin_s = output.last, self._reached_s
+        if not stage.on:
+            return math.inf, None
+        if stage.trip_v is not None:
+            limit_v = abs(stage.trip_v)
+            if abs(self._shown(output, stage, begin_s).voltage_v) >= limit_v:
+                return begin_s, "voltage"
+            if abs(self._shown(output, stage, until_s).voltage_v) >= limit_v:
+                beyond = self._crossing(
+                    lambda t: abs(self._shown(output, stage, t).voltage_v) >= limit_v, begin_s, until_s
+                )
+                return beyond, "voltage"
+        if stage.trip_after_s is not None and self._shown(output, stage, stage.since_s).limiting:
+            at_s = max(begin_s, stage.since_s + stage.trip_after_s)
+            if at_s <= until_s and self._shown(output, stage, at_s).limiting:
+                return at_s, "current"
+        return math.inf, None
+
+    def _watch(self, begin_s: float, end_s: float) -> None:
+        """Note between two times without an event what befalls the rails: power, and limits passed."""
+        for rail in self.settings.rails:
+            volts = [self._rail_v(rail, time_s) for time_s in (begin_s, end_s)]
+            low_v, high_v = rail.absolute_v
+            worst_v = max(volts, key=lambda v: max(v - high_v, low_v - v))
+            if not low_v <= worst_v <= high_v:
+                self._note(Violation(rail.name, begin_s, end_s, worst_v, "V"))
+            worst_a = max(self._rail_a(rail, time_s) for time_s in (begin_s, end_s))
+            if worst_a > rail.absolute_a:
+                self._note(Violation(rail.name, begin_s, end_s, worst_a, "A"))
+        for time_s in (begin_s, end_s):
+            alive = self._alive(time_s)
+            if alive != self._lives[-1][1]:
+                self._lives.append((self._crossing(partial(self._is_alive, alive), begin_s, time_s), alive))
+
+    def _note(self, violation: Violation) -> None:
+        """Take down that a rail is outside of its limits; what goes on is one."""
+        for index, known in enumerate(self.violations):
+            same = (known.rail, known.unit) == (violation.rail, violation.unit)
+            if same and known.to_s == violation.from_s:
+                worst = max(known.value, violation.value, key=abs)
+                self.violations[index] = replace(known, to_s=violation.to_s, value=worst)
+                return
+        self.violations.append(violation)
+
+    def _crossing(self, beyond: Callable[[float], bool], begin_s: float, end_s: float) -> float:
+        """Return when something becomes true that is not so at the beginning and is at the end."""
+        while end_s - begin_s > _CLOSE_S:
+            middle_s = (begin_s + end_s) / 2.0
+            begin_s, end_s = (begin_s, middle_s) if beyond(middle_s) else (middle_s, end_s)
+        return end_s
+
+    # --- how it is at a time ------------------------------------------------------------------------
+
+    def _is_alive(self, alive: bool, time_s: float) -> bool:
+        return self._alive(time_s) == alive
+
+    def _alive(self, time_s: float) -> bool:
+        return all(
+            rail.working_v[0] <= self._rail_v(rail, time_s) <= rail.working_v[1]
+            for rail in self.settings.rails
+        )
+
+    def _rail_v(self, rail: Rail, time_s: float) -> float:
+        output = self._outputs[rail.output]
+        stage = output.at(time_s)
+        return 0.0 if stage.open else self._shown(output, stage, time_s).voltage_v
+
+    def _rail_a(self, rail: Rail, time_s: float) -> float:
+        stage = self._outputs[rail.output].at(time_s)
+        if stage.open or not stage.on:
+            return 0.0
+        return abs(self._rail_v(rail, time_s)) * self._conductance(rail, stage, time_s)
+
+    def _shown(self, output: _Output, stage: Stage, time_s: float) -> Shown:
+        if not stage.on:
+            return Shown(0.0, 0.0, limiting=False)
+        gone_v = stage.offset_v + stage.drift_v_s * (time_s - stage.since_s)
+        open_v = (stage.set_v + gone_v) * (1.0 - stage.sag)
+        conductance = (
+            0.0 if stage.open else sum(self._conductance(rail, stage, time_s) for rail in output.rails)
+        )
+        current_a = abs(open_v) * conductance
+        if current_a <= stage.limit_a:
+            return Shown(open_v, current_a, limiting=False)
+        return Shown(math.copysign(stage.limit_a / conductance, open_v), stage.limit_a, limiting=True)
+
+    def _conductance(self, rail: Rail, stage: Stage, time_s: float) -> float:
+        """Return what a rail takes at a time, A/V: more when it is warm, and when it was just switched on."""
+        settings = self.settings
+        warm = 1.0 + settings.current_by_temperature * (self._block_c(time_s) - REFERENCE_C)
+        since_s = max(0.0, time_s - stage.on_since_s)
+        rush = 1.0 + (settings.in_rush - 1.0) * math.exp(-since_s / settings.in_rush_time_s)
+        return stage.load * rail.current_a * warm * rush / abs(rail.nominal_v)
+
+    # --- changes ------------------------------------------------------------------------------------
+
+    def _output(self, name: str) -> _Output:
+        if name not in self._outputs:
+            self._outputs[name] = _Output([Stage(self._reached_s)])
+        return self._outputs[name]
+
+    def _change(self, name: str, now_s: float, **changes: object) -> None:
+        output = self._output(name)
+        before = output.last
+        gone_v = before.offset_v + before.drift_v_s * (now_s - before.since_s)
+        stage = replace(before, since_s=now_s, offset_v=gone_v)
+        stage = replace(stage, **changes)  # type: ignore[arg-type]
+        if stage.on and not before.on:
+            stage = replace(stage, on_since_s=now_s)
+        output.stages.append(stage)
+
+    def _at(self, time_s: float, action: Callable[[], None]) -> None:
+        self._coming.append((time_s, action))
+        self._coming.sort(key=lambda coming: coming[0])
+
+    def _cut(self, now_s: float, until_s: float) -> None:
+        self._cut_until_s = until_s
+        for name in self._outputs:
+            self._change(name, now_s, on=False, tripped=None)

@@ -1,0 +1,121 @@
+"""A supply in memory that feeds the block of a bench in memory, and runners over them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from bench.files.bench.rails import UnitSupplySection
+from bench.procedure.plan import Plan
+from bench.run.power import Feeding
+from bench.run.record import Record
+from bench.run.runner import Runner
+from drivers.interfaces import (
+    Identity,
+    InstrumentRefused,
+    OutputLimits,
+    OutputSettings,
+    OutputState,
+    SetOtherwise,
+    SupplyLimits,
+)
+from sim.world.clock import VirtualClock
+from tests.support.fed_bench import FEED
+from tests.support.runner_bench import PLAN, Bench, Person, instruments
+
+LIMITS = SupplyLimits(
+    {
+        "P25V": OutputLimits((0.0, 25.0), (0.0, 1.0), 0.001, 0.001),
+        "N25V": OutputLimits((-25.0, 0.0), (0.0, 1.0), 0.001, 0.001),
+    }
+)
+AS_NEW = OutputState(False, OutputSettings(0.0, 1.0), 0.0, 0.0)
+
+
+class Supply:
+    """Keeps what was done to it; `at` says what befalls it at the n-th look: a change of its outputs' states."""
+
+    name = "power_supply"
+    asks_person = False
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        found: Mapping[str, OutputState] | None = None,
+        at: Mapping[int, Callable[["Supply"], None]] | None = None,
+    ) -> None:
+        self.clock = clock
+        self.outputs: tuple[str, ...] = ("P25V", "N25V")
+        self.states = dict(found or dict.fromkeys(self.outputs, AS_NEW))
+        self.at = dict(at or {})
+        self.looks = 0
+        self.done: list[tuple[float, str, bool]] = []
+        self.stuck = False
+
+    def open(self) -> Identity:
+        return Identity("maker", "supply")
+
+    def close(self) -> None:
+        pass
+
+    def state(self, key: str) -> dict[str, OutputState]:
+        self.looks += 1
+        if self.looks in self.at:
+            self.at[self.looks](self)
+        return dict(self.states)
+
+    def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
+        for output, wanted in settings.items():
+            if self.states[output].on and self.states[output].settings != wanted:
+                raise SetOtherwise(self.name, f"its output {output} is on and set otherwise", "switch it off")
+        for output, wanted in settings.items():
+            self.states[output] = replace(self.states[output], settings=wanted)
+
+    def switch(self, output: str, on: bool, key: str) -> None:
+        if self.stuck:
+            raise InstrumentRefused(self.name, "it does not obey", "look at it")
+        self.done.append((self.clock.now_s(), output, on))
+        given_v = self.states[output].settings.voltage_v
+        self.states[output] = replace(
+            self.states[output], on=on, voltage_v=given_v if on else 0.0, current_a=0.05 if on else 0.0
+        )
+
+    def switch_all_off(self) -> str:
+        for output in self.outputs:
+            self.switch(output, False, "all")
+        return ""
+
+    def befall(self, output: str, **changes: Any) -> None:
+        """Change how an output is."""
+        self.states[output] = replace(self.states[output], **changes)
+
+    @property
+    def is_on(self) -> bool:
+        return any(state.on for state in self.states.values())
+
+
+def found_on() -> dict[str, OutputState]:
+    """Outputs that are on and as the bench file says."""
+    return {rail.output: OutputState(True, rail.settings, rail.voltage, 0.05) for rail in section_of().rails}
+
+
+def section_of(**changes: Any) -> UnitSupplySection:
+    """How the block is fed, with changes of the section."""
+    return UnitSupplySection.model_validate({**FEED, **changes})
+
+
+def fed_runner(
+    bench: Bench, record: Record, supply: Supply, plan: Plan = PLAN, person: Any = None, **options: Any
+) -> Runner:
+    """A runner over a bench whose block is fed; `feed` are changes of how."""
+    feed = options.pop("feed", {})
+    having = replace(instruments(bench), power_supply=supply)
+    return Runner(
+        plan,
+        having,
+        person or Person(bench),
+        supply.clock,
+        record,
+        10.0,
+        fed=Feeding(section_of(**feed), LIMITS),
+        **options,
+    )
