@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -246,9 +245,9 @@ def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
     _judge_world(watch, outcome)
     _judge_readings(run, watch, outcome)
     if status == 0:
-        _judge_finished(run, outcome)
+        judge_finished(run, outcome)
         return outcome
-    _judge_stop(status, outcome)
+    judge_stop(status, outcome)
     before = run.history.readings
     with watched(None) as watch:
         status, said, _ = command(["resume", name, "--runs", str(folder)])
@@ -258,7 +257,7 @@ def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
     outcome.resumed = True
     resumed = Run(folder / name)
     _judge_world(watch, outcome)
-    _judge_finished(resumed, outcome)
+    judge_finished(resumed, outcome)
     _judge_visits(resumed, set(before), outcome)
     return outcome
 
@@ -309,7 +308,7 @@ def _off(stand: FedStand, place: Place, mean: Sequence[float]) -> str:
     return f"{list(mean)} V on record at {place}, {list(expected)} V undisturbed"
 
 
-def _judge_finished(run: Run, outcome: FedOutcome) -> None:
+def judge_finished(run: Run, outcome: FedOutcome) -> None:
     """A finished run has the readings planned, and each agrees with the undisturbed run's."""
     if run.history.state != "finished":
         outcome.violations.append(f"the run is {run.history.state}, not finished")
@@ -323,7 +322,7 @@ def _judge_finished(run: Run, outcome: FedOutcome) -> None:
             outcome.violations.append(f"wrong value: {wrong}")
 
 
-def _judge_stop(status: Any, outcome: FedOutcome) -> None:
+def judge_stop(status: Any, outcome: FedOutcome) -> None:
     """A run that stopped names the supply and the rail or output, in a line of its own, and no traceback."""
     said = outcome.said
     if status != 2:
@@ -352,10 +351,3 @@ def _judge_visits(run: Run, before: set[int], outcome: FedOutcome) -> None:
     for installation in visits.keys() & later.keys():
         if visits[installation] & later[installation]:
             outcome.violations.append(f"one visit to installation {installation} before and after it was off")
-
-
-def struck(outcome: FedOutcome) -> bool:
-    """Whether the disturbance came before the undisturbed run's end."""
-    return outcome.trial.disturbance.at_s < outcome.trial.stand.duration_s and not math.isnan(
-        outcome.trial.disturbance.at_s
-    )

@@ -231,6 +231,11 @@ class ScpiVoltmeter(ABC):
         self._spoke_s = self._clock.now_s()
         return signals
 
+    def disturbed(self) -> None:
+        """Take note that somebody else used the meter: it is proved and set up again before the next reading."""
+        self._connection = None
+        self._started = False
+
     def self_test(self) -> str:
         """Have the meter test itself (*TST?, some 10 s on a 34401A); return the errors found, "" for none.
 

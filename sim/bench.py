@@ -40,12 +40,13 @@ class SimulatedMeter:
     """One voltmeter: what makes it, which channels of the block are at its inputs, what it is like.
 
     `make` is called with what the meter is wired to, its clock and the `options`; a meter with several inputs
-    has `inputs` by their channels, and is given the wiring of each number.
+    has `inputs` by their channels, and is given the wiring of each number; `probes` are wired to it beside.
     """
 
     make: Callable[..., ScpiInstrument]
     inputs: Channel | Mapping[Channel, int]
     options: Mapping[str, Any] = field(default_factory=dict)
+    probes: Mapping[int, Any] = field(default_factory=dict)
 
     def on(self, world: World, clock: Clock | None = None) -> ScpiInstrument:
         """Return the meter, wired to its channels of a world; `clock` is its own where it is not the world's."""
@@ -53,7 +54,9 @@ class SimulatedMeter:
         if isinstance(self.inputs, str):
             wiring = world.terminals(self.inputs)
         else:
-            wiring = {number: world.terminals(channel) for channel, number in self.inputs.items()}
+            wiring = {number: world.terminals(channel) for channel, number in self.inputs.items()} | dict(
+                self.probes
+            )
         return self.make(wiring, clock or world.clock, **self.options)
 
 

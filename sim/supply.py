@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -56,8 +57,13 @@ class Outputs:
         return self._world.power.stage(name, self._now_s)
 
     def shown(self, name: str) -> Shown:
-        """Return what an output gives now."""
-        return self._world.power.shown(name, self._now_s)
+        """Return what an output gives now, as the supply measures it: in its steps."""
+        shown, limits = self._world.power.shown(name, self._now_s), self.limits[name]
+        return replace(
+            shown,
+            voltage_v=_rounded(shown.voltage_v, limits["voltage_step_v"]),
+            current_a=_rounded(shown.current_a, limits["current_step_a"]),
+        )
 
     def change(self, name: str, **changes: object) -> None:
         """Change an output."""
@@ -84,3 +90,7 @@ class Outputs:
             self._returned()
         finally:
             self._back_s = None
+
+
+def _rounded(value: float, step: float) -> float:
+    return round(value / step) * step

@@ -29,6 +29,7 @@ from drivers.interfaces import (
     Prompt,
     SelfTesting,
     ThermalChamber,
+    Thermometer,
     Voltmeter,
     VoltmeterSettings,
 )
@@ -206,6 +207,9 @@ def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
             f"{output} {f'{state.voltage_v:.3f} V {state.current_a:.4f} A' if state.on else 'off'}"
             for output, state in states.items()
         )
+    elif isinstance(instrument, Thermometer):
+        row.value = instrument.block_c("instruments")
+        row.shows = f"{row.value:.2f} °C, {instrument.sensor}"
     elif isinstance(instrument, Level):
         found = instrument.inclination("instruments", turned=False)
         row.value = {"along": found.along_rad, "across": found.across_rad}

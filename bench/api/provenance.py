@@ -8,6 +8,7 @@ from importlib import metadata
 
 from bench.api.origin import Origin
 from bench.api.source import Source
+from bench.readings.supplied import ranges_in_words
 from bench.run.folder import Run
 
 PACKAGES = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
@@ -42,6 +43,8 @@ def provenance(source: Source) -> dict[str, str]:
         stated["exported from run"] = origin.run
     if origin is not None:
         stated.update(_measured(origin))
+    if supply := ranges_in_words({name: cells.tolist() for name, cells in source.readings.extra.items()}):
+        stated["supply of the block"] = supply
     if run is not None:
         head = record_head(run)
         stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"

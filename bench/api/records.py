@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.readings.supplied import columns_of, ranges_in_words
 from bench.run.digest import Digest, Digests
 from bench.run.folder import VERIFY, Run, all_runs
 from bench.run.manifest import RecordError
@@ -46,6 +47,13 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> dic
         "verdict": _verdict(run),
         "to_go_on": to_go_on,
     }
+
+
+def supply_in_words(run: Run) -> str:
+    """Return from which to which voltage and current each rail of the block was; empty where nobody measured it."""
+    if run.imported:
+        return ""
+    return ranges_in_words(columns_of([one.rails for one in run.history.readings.values()]))
 
 
 def _verdict(run: Run) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ from bench.devices.supplies import WiredSupplyForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
 from bench.files.bench.file import BenchFile
-from bench.files.bench.instruments import InstrumentForm
+from bench.files.bench.instruments import InstrumentForm, InstrumentsSection
 from bench.run.workbench import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
@@ -67,11 +67,13 @@ def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
     Raises `BenchError` for a driver that cannot be loaded.
     """
     sections = bench.instruments
+    meters = [_driver(meter, given) for meter in sections.voltmeters]
     return Instruments(
-        [_driver(meter, given) for meter in sections.voltmeters],
+        meters,
         _driver(sections.head, given),
         None if sections.chamber is None else _driver(sections.chamber, given),
         None if sections.level is None else _driver(sections.level, given),
+        _thermometer(sections, meters, given),
         None if sections.power_supply is None else _driver(sections.power_supply, given),
     )
 
@@ -88,6 +90,22 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
     except Exception as error:
         cause = f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
         raise BenchError(section.name, cause, "mend it, then start again") from error
+
+
+def _thermometer(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> Any:
+    """Return the driver of the thermometer; beside the signals it speaks over the voltmeter's session."""
+    section = sections.thermometer
+    if section is None:
+        return None
+    driver, options = loaded_class(section, "driver"), section.driver_options()
+    if not isinstance(section, WiredForm):
+        return driver(section.name, given.person, **options)
+    options["line_hz"] = given.line_hz
+    beside = sections.meter_of_thermometer
+    if beside is None:
+        return driver(section.name, given.session(section.name, section), given.clock, **options)
+    options |= {"interface": beside.interface, "meter": meters[sections.voltmeters.index(beside)]}
+    return driver(section.name, given.sessions[beside.name], given.clock, **options)
 
 
 def _driver(section: InstrumentForm, given: Surroundings) -> Any:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from bench.assembly.real import loaded_class
+from bench.devices.keysight_34970a_thermometer import Keysight34970AThermometerSection
+from bench.devices.thermometers import ThermometerForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm, is_serial
 from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
 from drivers.clock import Clock
 from sim.bench import SimulatedMeter
+from sim.keysight_34970a.probe import Probe
 from sim.wires.faults import Fault
 from sim.wires.session import Dialect
 from sim.world.levelling import LevelSettings
@@ -92,17 +95,29 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
     Raises `BenchError` for a simulation that cannot be loaded.
     """
     simulated: dict[str, Dialect | SimulatedMeter] = {}
+    beside = bench.instruments.meter_of_thermometer
     for section in bench.instruments.all():
-        if section.by_hand:
+        if section.by_hand or (isinstance(section, ThermometerForm) and beside is not None):
             continue
         make: Any = loaded_class(section, "simulation")
         options = section.simulation_options(getattr(bench.simulation, section.role))
         if isinstance(section, VoltmeterForm):
             options["line_hz"] = bench.line_frequency
-            simulated[section.name] = SimulatedMeter(make, section.inputs_used, options)
+            probes = {} if section is not beside else _probes(bench, world)
+            simulated[section.name] = SimulatedMeter(make, section.inputs_used, options, probes)
         else:
             simulated[section.name] = make(world, **options)
     return simulated
+
+
+def _probes(bench: BenchFile, world: World) -> dict[int, Probe]:
+    """Return the sensor that is wired to the voltmeter with the signals, by its channel."""
+    section = bench.instruments.thermometer
+    truth = bench.simulation.thermometer
+    if not isinstance(section, Keysight34970AThermometerSection):
+        return {}
+    own = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
+    return {section.channel: Probe(world, section.sensor, **own)}
 
 
 def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -204,7 +205,7 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
     # what makes the gap no smaller is no better model, whoever accepts it
     form = full.diagnosis.form
     told = verdict == "named" or (accept_first and verdict == "confounded" and shrinks is not False)
-    if told or (form is not None and form.predicts):
+    if told or (form is not None and form.applied):
         full = replace(full, model=_written_model(body, full))
     if full.next_measurement is not None:
         try:
@@ -247,7 +248,11 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
             write_model_file(
                 path,
                 after.model.name,
-                (*after.effects[: len(source.model.effects)], *full.diagnosis.applied),
+                (
+                    *after.effects[: len(source.model.effects)],
+                    *full.diagnosis.applied,
+                    *full.diagnosis.left_open,
+                ),
                 parent=source.model.name,
                 data_sha256=" ".join(dict.fromkeys((*(given or "").split(), *body.sha256_with_copy(full)))),
                 evidence=evidence_in_words(full),
@@ -265,7 +270,11 @@ def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
 def _dark(full: FullDiagnosis) -> str | None:
     """Return what stays unexplained beside the terms of what has no name, as a model file says it."""
     form = full.diagnosis.form
-    return None if form is None or form.dark == 0.0 else f"{form.dark:.3g} {form.unit}"
+    if form is None or not form.applied or not isfinite(form.dark.upper):
+        return None
+    if form.dark.there:
+        return f"{form.dark.value:.3g} {form.unit} with u {form.dark.u:.2g} {form.unit}"
+    return f"less than {form.dark.upper:.2g} {form.unit} (95 %)"
 
 
 def unused(path: Path) -> Iterator[Path]:

@@ -36,7 +36,7 @@ def show(
 ) -> int:
     """Show what a run holds: inputs, events, readings."""
     from bench.api.provenance import record_head
-    from bench.api.records import run_summary
+    from bench.api.records import run_summary, supply_in_words
     from bench.api.sealing import proof_of
     from bench.run.folder import find_run
 
@@ -57,6 +57,8 @@ def show(
     for name, value in {**summary, **found.manifest}.items():
         if value not in ("", None):
             out.print(f"{name.replace('_', ' ')}: {_text(value)}")
+    if supply := supply_in_words(found):
+        out.print(f"supply of the block: {supply}")
     if verify:
         _print_proof(found, told, problems, out)
     else:

@@ -10,6 +10,7 @@ from typing import Final, Protocol, runtime_checkable
 from bench.commission.evening import Evening
 from bench.commission.finding import Figure, Finding, State
 from bench.commission.meters import quick
+from bench.devices.thermometers import ThermometerForm
 from bench.devices.wires import WiredForm
 from drivers.interfaces import BenchError, Instrument, PowerSupply, ThermalChamber, Voltmeter
 
@@ -45,6 +46,8 @@ def cables(evening: Evening) -> Iterator[Cable]:
     by_adapter: dict[str, list[Instrument]] = {}
     for instrument in evening.instruments.all():
         section = evening.section(instrument.name)
+        if isinstance(section, ThermometerForm) and evening.file.instruments.meter_of_thermometer is not None:
+            continue  # it hangs on the voltmeter's
         place = section.place if isinstance(section, WiredForm) else None
         if place is not None:
             by_adapter.setdefault(place.adapter, []).append(instrument)

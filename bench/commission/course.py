@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from bench.commission import chambers, heads, meters, supplies
+from bench.commission import chambers, heads, meters, platform, supplies
 from bench.commission.cables import check_cables
 from bench.commission.evening import Evening, Skipped
 from bench.commission.finding import Finding, State
@@ -87,6 +87,18 @@ PARTS: Final = (
         "Its outputs are read. Nothing is set or switched.",
         supplies.check_outputs,
         applies=lambda evening: evening.instruments.power_supply is not None,
+    ),
+    Part(
+        "level",
+        "The head is set to 0°, the level read on the platform in two positions half a turn apart.",
+        platform.check_level,
+        applies=lambda evening: evening.instruments.level is not None,
+    ),
+    Part(
+        "thermometer",
+        "The thermometer at the block is read.",
+        platform.check_thermometer,
+        applies=lambda evening: evening.instruments.thermometer is not None,
     ),
     Part(
         "cables",

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 
 from bench.base.forms import FileModel
 
-Role = Literal["voltmeter", "head", "chamber", "level", "power_supply"]
+Role = Literal["voltmeter", "head", "chamber", "level", "thermometer", "power_supply"]
 
 
 class DeviceSection(FileModel):

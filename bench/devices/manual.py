@@ -1,4 +1,4 @@
-"""A head, a chamber, a level and a power supply that a person works."""
+"""A head, a chamber, a level, a thermometer and a power supply that a person works."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from pydantic import Field, field_validator, model_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV
-from bench.devices.chambers import ChamberForm
+from bench.devices.chambers import ChamberForm, SizeK, TemperatureRange
 from bench.devices.device import Device
 from bench.devices.heads import HeadForm
 from bench.devices.levels import LevelForm
 from bench.devices.supplies import OF_THE_UNIT, SupplyForm
+from bench.devices.thermometers import ThermometerForm
 from drivers.interfaces import OutputLimits, SupplyLimits
 
 
@@ -92,6 +93,25 @@ class ManualLevelSection(LevelForm):
             "scale": self.scale,
             "turn_rad": self.turn,
         }
+
+
+class ManualThermometerSection(TemperatureRange, ThermometerForm):
+    """A thermometer at the block that a person reads at each mounting; `tolerance` is the limit of its error."""
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-thermometer"]
+    tolerance: SizeK = 0.5
+    sensor: str = "read by a person"
+
+    @property
+    def tolerance_k(self) -> float:
+        """As stated, K."""
+        return self.tolerance
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return its range, and what it is called in the record."""
+        return {"minimum_c": self.minimum, "maximum_c": self.maximum, "sensor": self.sensor}
 
 
 class ManualOutput(FileModel):
@@ -182,6 +202,14 @@ DEVICE = (
         simulation=None,
         example={"division": "5 arcsec"},
         simulated=("zero_along", "zero_across", "noise", "scale"),
+        place=0,
+    ),
+    Device(
+        "manual-thermometer",
+        ManualThermometerSection,
+        driver="drivers.manual.thermometer:ManualThermometer",
+        simulation=None,
+        example={"minimum": "-60 degC", "maximum": "150 degC"},
         place=0,
     ),
     Device(

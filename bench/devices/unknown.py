@@ -13,6 +13,7 @@ from bench.devices.device import DeviceSection, Role
 from bench.devices.heads import HeadForm
 from bench.devices.levels import LevelForm
 from bench.devices.supplies import SupplyForm
+from bench.devices.thermometers import ThermometerForm
 from bench.devices.voltmeters import VoltmeterForm, VoltmeterKind
 from drivers.interfaces import BenchError, Channel, SupplyLimits
 
@@ -77,6 +78,17 @@ class UnknownLevel(LevelForm):
     model_config = KEPT
 
 
+class UnknownThermometer(ThermometerForm):
+    """A thermometer of which its certificate is known, if it has one."""
+
+    model_config = KEPT
+
+    @property
+    def tolerance_k(self) -> float:
+        """Nobody here knows; as of a plain one."""
+        return 0.5
+
+
 class UnknownSupply(SupplyForm):
     """A power supply of which nothing is known."""
 
@@ -93,6 +105,7 @@ OF_ROLE: Final[dict[Role, type[DeviceSection]]] = {
     "head": UnknownHead,
     "chamber": UnknownChamber,
     "level": UnknownLevel,
+    "thermometer": UnknownThermometer,
     "power_supply": UnknownSupply,
 }
 

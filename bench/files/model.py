@@ -9,6 +9,7 @@ mountings have the effect ("2/3" is installation 2 in series 3, "2 pass 1" its f
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -24,6 +25,7 @@ from bench.base.units import QuantityKind, parse_quantity
 from bench.files.formulas import FormulaEntry, effects_as_written, formula_mistakes, written_formulas
 from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
 from bench.model.effects.base import PASS, pass_label
+from bench.model.effects.in_part import PART, InPart, in_part
 from drivers.interfaces import Channel
 
 FORMAT: Final = "1"
@@ -53,11 +55,28 @@ class EffectEntry(FileModel):
         return AppliedEffect(effect, values, self.channels, u, self.installations)
 
 
+class LeftOpen(FileModel):
+    """One way in which the shape of the effect `of` is open: `part` times the sum of `effects`, u of it beside.
+
+    The readings that it was found in make all such sizes independent of each other.
+    """
+
+    of: str
+    part: float = Field(allow_inf_nan=False)
+    u: float = Field(gt=0.0, allow_inf_nan=False)
+    effects: tuple[EffectEntry, ...] = Field(min_length=1)
+
+    def applied(self, number: int) -> AppliedEffect:
+        """Return it as an effect with its size, the `number`th of its own."""
+        return in_part(self.of, number, tuple(entry.applied() for entry in self.effects), self.part, self.u)
+
+
 class ModelFile(FileModel):
     """A model file: `parent` is the model that it was made from, `data_sha256` what it was found in.
 
     `evidence` is kept as text for the reader of the file; nothing is computed from it. `dark_uncertainty` is what
     stays unexplained in each reading beside terms that have no name (1 σ): whoever uses the file is told.
+    `left_open` is what is not known of the effects' shapes.
     """
 
     model_file: Literal["1"]
@@ -68,6 +87,7 @@ class ModelFile(FileModel):
     dark_uncertainty: str | None = None
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
+    left_open: tuple[LeftOpen, ...] = ()
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
@@ -81,7 +101,12 @@ class ModelFile(FileModel):
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
         """Return the effects with their values in SI."""
         with CATALOGUE.also(self.own_effects()):
-            return tuple(entry.applied() for entry in self.effects)
+            count: Counter[str] = Counter()
+            open_ones = []
+            for entry in self.left_open:
+                count[entry.of] += 1
+                open_ones.append(entry.applied(count[entry.of]))
+            return (*(entry.applied() for entry in self.effects), *open_ones)
 
 
 def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
@@ -111,6 +136,20 @@ def mistakes_with_formulas(data: Any, installations: Collection[str] = ()) -> It
         return  # which effects there are is not known
     with CATALOGUE.also(effects_as_written(part(data, "formulas"))):
         yield from list(effect_mistakes(part(data, "effects"), ("effects",), installations))
+        yield from list(_left_open_mistakes(part(data, "left_open"), installations))
+
+
+def _left_open_mistakes(entries: Any, installations: Collection[str]) -> Iterator[tuple[Place, str]]:
+    for index, entry in enumerate(entries if isinstance(entries, list) else []):
+        here: Place = ("left_open", index, "effects")
+        effects = part(entry, "effects")
+        wrong = list(effect_mistakes(effects, here, installations))
+        yield from wrong
+        if wrong or not isinstance(effects, list):
+            continue
+        stages = {CATALOGUE[one["name"]].stage for one in effects if isinstance(one, dict) and "name" in one}
+        if len(stages) > 1:
+            yield here, "its effects act at several stages of the model: they cannot be one size"
 
 
 def effect_mistakes(
@@ -269,7 +308,10 @@ def write_model_file(
     formulas = written_formulas(applied.effect for applied in effects)
     if formulas:
         content["formulas"] = formulas
-    content["effects"] = [_written_effect(applied) for applied in effects]
+    content["effects"] = [_written_effect(applied) for applied in effects if _is_whole(applied)]
+    left_open = [_written_left_open(applied) for applied in effects if not _is_whole(applied)]
+    if left_open:
+        content["left_open"] = left_open
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -277,6 +319,22 @@ def write_model_file(
     except FileExistsError:
         problem = "this model file exists and is not overwritten; give another name"
         raise FileMistakes(path, [FileMistake(0, "", problem)]) from None
+
+
+def _is_whole(applied: AppliedEffect) -> bool:
+    return not isinstance(applied.effect, InPart)
+
+
+def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
+    effect = applied.effect
+    assert isinstance(effect, InPart)  # noqa: S101 - chosen so
+    u = float(applied.u.get(PART, np.ones(())))
+    return {
+        "of": effect.of,
+        "part": float(applied.values[PART]),
+        "u": u or 1.0,
+        "effects": [_written_effect(one) for one in effect.parts],
+    }
 
 
 def _written_effect(applied: AppliedEffect) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.model.geometry import within_half_turn
 
 REFERENCE_C: Final = 20.0
 """The temperature from which effects count, unless `Conditions` states another, °C."""
@@ -29,6 +30,36 @@ class Mounting(NamedTuple):
 
     def __str__(self) -> str:
         return self.installation if self.series == 1 else f"{self.installation}/{self.series}"
+
+
+class HeadTurns:
+    """How far the head was turned up to each reading, rad, by the shortest way from angle to angle.
+
+    A reading without an angle keeps what the one before it had, and is no remount.
+    """
+
+    def __init__(self, conditions: Conditions) -> None:
+        n = len(conditions)
+        steps, begins = np.zeros(n), np.zeros(n, dtype=bool)
+        rows = np.flatnonzero(np.isfinite(conditions.angle_rad))
+        angle, mount = conditions.angle_rad[rows], conditions.mount[rows]
+        steps[rows[1:]] = within_half_turn(np.diff(angle))
+        begins[rows[:1]] = True
+        begins[rows[1:]] = mount[1:] != mount[:-1]
+        self._first = np.maximum.accumulate(np.where(begins, np.arange(n), 0)) if n else np.zeros(0, np.int64)
+        self.wound: Floats = np.cumsum(steps)
+        self._to_and_fro: Floats = np.cumsum(np.abs(steps))
+        self.visit: Floats = np.cumsum(begins).astype(np.float64)
+
+    @property
+    def turned(self) -> Floats:
+        """Since the block was mounted, with sign."""
+        return np.asarray(self.wound - self.wound[self._first])
+
+    @property
+    def travelled(self) -> Floats:
+        """Since the block was mounted, to and fro."""
+        return np.asarray(self._to_and_fro - self._to_and_fro[self._first])
 
 
 @dataclass(frozen=True)
@@ -71,6 +102,16 @@ class Conditions:
     def remounted(self) -> Mask:
         """Where the block has another mounting than in the row before, shape (n,); true in the first row."""
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
+
+    @cached_property
+    def memory(self) -> dict[Any, Any]:
+        """What was worked out of these conditions alone, for who needs it again and again."""
+        return {}
+
+    @cached_property
+    def head_turns(self) -> HeadTurns:
+        """How far the head was turned up to each reading."""
+        return HeadTurns(self)
 
     @cached_property
     def elapsed_s(self) -> Floats:

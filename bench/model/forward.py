@@ -113,10 +113,17 @@ class ForwardModel:
         total = np.zeros_like(signal)
         for applied in self.effects:
             if applied.effect.stage is stage:
-                needs_path = applied.effect.needs_path
-                rows = replace(conditions, turns=self._turns(conditions)) if needs_path else conditions
+                rows = self._with_turns(conditions) if applied.effect.needs_path else conditions
                 total = total + applied.addition(Seen(signal, rows, block))
         return total
+
+    def _with_turns(self, conditions: Conditions) -> Conditions:
+        """Return the conditions with how the block sits in them; the same object as before for the same bench."""
+        kept: tuple[object, Conditions] | None = conditions.memory.get("turned")
+        if kept is None or kept[0] is not self.installations:
+            kept = self.installations, replace(conditions, turns=self._turns(conditions))
+            conditions.memory["turned"] = kept
+        return kept[1]
 
     def _turns(self, conditions: Conditions) -> Floats:
         """Return how the block sits in each mounting, shape (mounts, 3, 3), NaN where it is not known."""

@@ -235,17 +235,23 @@ def operator_actions(plan: Plan, bench: BenchFile) -> int:
     chamber = bench.instruments.chamber
     turned = bench.instruments.head.by_hand
     heated = chamber is not None and chamber.by_hand
+    thermometer = bench.instruments.thermometer
+    told = heated if thermometer is None else thermometer.by_hand
+    level = bench.instruments.level
+    by_bubble = level is not None and level.by_hand
     actions = 0
     for step in plan.steps:
         match step:
             case Mount():
-                actions += 2 if heated else 1
+                actions += 2 if told else 1
             case Turn():
                 actions += turned
             case SetTemperature():
                 actions += heated
             case SelectInput() | Ask():
                 actions += 1
+            case Level():
+                actions += step.settings * (turned + (4 if by_bubble else 2)) + (step.within_rad is not None)
     return actions
 
 

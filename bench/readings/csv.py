@@ -19,10 +19,12 @@ from bench.readings.level_columns import LEVEL_COLUMNS, wrong_level_cell
 from bench.readings.numbers import BadCell, angle, direction, integer, number
 from bench.readings.rails import is_of_a_rail
 from bench.readings.table import (
+    CHAMBER_C,
     FREE,
     REFERENCE,
     SCAN_ORDER,
     SHORTED,
+    TEMPERATURE_SOURCE,
     UNITS,
     UNORIENTED,
     VERIFICATION,
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
 LISTED_AT_ONCE: Final = 20
 REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
 OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
-AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v", *LEVEL_COLUMNS)
+AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v", TEMPERATURE_SOURCE, CHAMBER_C, *LEVEL_COLUMNS)
 """Promised columns that no number is made of here."""
 
 

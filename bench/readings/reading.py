@@ -11,7 +11,14 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.readings.supplied import Rail, columns_of
-from bench.readings.table import REFERENCE_V, SCAN_ORDER, Readings, make_readings
+from bench.readings.table import (
+    CHAMBER_C,
+    REFERENCE_V,
+    SCAN_ORDER,
+    TEMPERATURE_SOURCE,
+    Readings,
+    make_readings,
+)
 
 Triple = tuple[float, ...]
 """A number for each of the channels x, y, z."""
@@ -44,9 +51,10 @@ class Reading:
     beginning of the run. `mean`, `sd` and `drift` are those of the samples of x, y and z, `drift_p` the
     probability of as large a drift in samples that only scatter; None where there are too few samples for
     them. `scan_order` is the order in which the channels were read. `rails` is what the supply measured at each
-    rail of the block, the mean of a look before the reading and one after it. What is left at its default was not
-    recorded: records before these were kept lack `samples` and what is drawn from them, the reference and the
-    scan order, and where nothing is known of the supply there are no rails.
+    rail of the block, the mean of a look before the reading and one after it. Where a thermometer at the block told
+    the temperature, `temperature_source` is its sensor and `chamber_c` the air of the chamber. What is left at its
+    default was not recorded: records before these were kept lack `samples` and what is drawn from them, the
+    reference and the scan order, and where nothing is known of the supply there are no rails.
     """
 
     installation: str
@@ -68,6 +76,8 @@ class Reading:
     outlier: tuple[Outlier | None, ...] = _NONE
     reference_v: float | None = None
     scan_order: str = ""
+    temperature_source: str = ""
+    chamber_c: float | None = None
     rails: Mapping[str, Rail] = field(default_factory=dict)
 
     @property
@@ -80,8 +90,11 @@ class Reading:
 
     def to_json(self) -> dict[str, Any]:
         """Return it as an event holds it."""
+        own = {_KEYS.get(name, name): value for name, value in asdict(self).items()}
         return {
-            _KEYS.get(name, name): value for name, value in asdict(self).items() if name != _RAILS or value
+            name: value
+            for name, value in own.items()
+            if name not in _WHERE_KNOWN or value not in ("", None, {})
         }
 
     @classmethod
@@ -117,6 +130,7 @@ class Reading:
             self.time_s,
             self.temperature_c,
             self.reference_v,
+            self.chamber_c,
             *self.sd,
         )
         for number in (*self.mean, self.direction, *may_be):
@@ -125,6 +139,9 @@ class Reading:
         if None in self.mean:
             raise ValueError("a reading without a mean is none")
 
+
+_WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c")
+"""Written of a bench alone that has a supply, or a thermometer at the block."""
 
 _KEYS: Final = {"pass_number": "pass"}
 """What is called otherwise in the record."""
@@ -150,6 +167,8 @@ def readings_of(taken: Sequence[Reading], source: str) -> Readings:
     extra = {
         SCAN_ORDER: [reading.scan_order for reading in taken],
         REFERENCE_V: ["" if reading.reference_v is None else str(reading.reference_v) for reading in taken],
+        TEMPERATURE_SOURCE: [reading.temperature_source for reading in taken],
+        CHAMBER_C: ["" if reading.chamber_c is None else str(reading.chamber_c) for reading in taken],
         **columns_of([reading.rails for reading in taken]),
     }
     table = make_readings(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from bench.readings.rails import current_column, nominal_column, voltage_column
+from bench.readings.rails import current_column, nominal_column, rails_of, voltage_column
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,3 +53,25 @@ def columns_of(taken: Sequence[Mapping[str, Rail]]) -> dict[str, list[str]]:
         columns[nominal_column(name)] = ["" if rail is None else f"{rail.nominal_v:g}" for rail in rails]
         columns[current_column(name)] = ["" if rail is None else repr(rail.current_a) for rail in rails]
     return columns
+
+
+def ranges_in_words(extra: Mapping[str, Sequence[str]]) -> str:
+    """Say from which to which voltage and current each rail was at the readings; empty where there is no rail.
+
+    `extra` are the text columns of a table.
+    """
+    told = []
+    for rail in rails_of(extra):
+        spans = [_span(extra[voltage_column(rail)], "V", 1.0)]
+        if current_column(rail) in extra:
+            spans.append(_span(extra[current_column(rail)], "mA", 1e3))
+        told.append(f"{rail} {', '.join(span for span in spans if span) or 'not measured'}")
+    return "; ".join(told)
+
+
+def _span(cells: Sequence[str], unit: str, scale: float) -> str:
+    values = [float(cell) * scale for cell in cells if cell.strip()]
+    if not values:
+        return ""
+    low, high = f"{min(values):.5g}", f"{max(values):.5g}"
+    return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"

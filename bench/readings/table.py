@@ -30,6 +30,12 @@ SCAN_ORDER: Final = "scan_order"
 REFERENCE_V: Final = "reference_v"
 """The extra column with the voltage at a reference input."""
 
+TEMPERATURE_SOURCE: Final = "temperature_source"
+"""The extra column with what told the temperature of the block, where that was a thermometer of its own."""
+
+CHAMBER_C: Final = "chamber_c"
+"""The extra column with the air of the chamber beside it, °C."""
+
 MOST_DECIMALS: Final = 8
 """A 34401A's reply has so many: what is given to more is no reading as it came from a meter."""
 

@@ -26,6 +26,7 @@ from bench.procedure.plan import (
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.reading import Reading
 from bench.readings.supplied import Rail, between
+from bench.run.block_temperature import told_at_mounting, told_at_reading
 from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
 from bench.run.events import (
     Answered,
@@ -84,12 +85,13 @@ class Instruments:
     head: DividingHead
     chamber: ThermalChamber | None = None
     level: interfaces.Level | None = None
+    thermometer: interfaces.Thermometer | None = None
     power_supply: PowerSupply | None = None
     opened: set[str] = field(default_factory=set)
 
     def all(self) -> list[Instrument]:
         """Every instrument, in the order in which they are opened."""
-        further = (self.chamber, self.level, self.power_supply)
+        further = (self.chamber, self.level, self.thermometer, self.power_supply)
         return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
 
     def open(self) -> dict[str, Identity]:
@@ -140,6 +142,7 @@ class Workbench:
     demanded_c: float | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
     _level_zero: Inclination | None = field(default=None, init=False)
+    _chamber_c: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._chamber_watch = ChamberWatch(self.clock, self.slow_chamber_s, self.tell)
@@ -175,8 +178,7 @@ class Workbench:
         """Have the block mounted, and the temperature told where a person must tell it."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
-        chamber = self.instruments.chamber
-        self.temperature_c = chamber.temperature(step.key) if chamber and chamber.asks_person else None
+        self.temperature_c = told_at_mounting(self.instruments, step.key)
         if self.power is not None and self.power.on and self.power.supply.asks_person:
             self.power.look(step.key)
         return Mounted(self.temperature_c)
@@ -339,6 +341,10 @@ class Workbench:
             direction=0 if position is None else position.direction,
             time_s=begun_s,
             temperature_c=self.temperature_c,
+            temperature_source=""
+            if self.instruments.thermometer is None
+            else self.instruments.thermometer.sensor,
+            chamber_c=self._chamber_c,
             unit="V",
             mean=tuple(of.mean for of in statistics),
             sd=tuple(of.sd for of in statistics),
@@ -353,13 +359,13 @@ class Workbench:
         )
 
     def _take_temperature(self, key: str) -> None:
-        """Read the chamber; a person is asked once after each mounting and each new temperature.
+        """Read the thermometer at the block, else the chamber.
+
+        A person is asked once after each mounting and each new temperature.
 
         Raises `LimitExceeded` when the block is where it may not be: the run stops, the chamber goes safe.
         """
-        chamber = self.instruments.chamber
-        if chamber is not None and (self.temperature_c is None or not chamber.asks_person):
-            self.temperature_c = chamber.temperature(key)
+        self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)
         low_c, high_c = self.block_limits_c
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(

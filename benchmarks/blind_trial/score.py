@@ -155,6 +155,8 @@ def _judge_kind(
             f"flagged unknown{apart}": verdict == "unknown",
             f"given a single name{apart}": verdict == "named",
         }
+        if likeness is not None:
+            marks |= _lone_name(answer, likeness(answer), verdict)
         return marks | _judge_form(case, answer, diagnosis)
     if answer.kind in KNOWN:
         return judge_known(answer.kind, answer.names, diagnosis)
@@ -165,6 +167,19 @@ def _judge_kind(
     if kind == "pair":
         return _judge_pair(answer, diagnosis)
     return _judge_single(case, answer, diagnosis, can_tell)
+
+
+def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
+    """Say whether a single name was given where the nearest member leaves this much, units of noise."""
+    left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
+    if left < SOME_LEFT:
+        return {}
+    words = f"{MUCH_LEFT:g} or more" if left >= MUCH_LEFT else f"{SOME_LEFT:g} to {MUCH_LEFT:g}"
+    return {f"given a single name that leaves {words}": verdict == "named"}
+
+
+SOME_LEFT: Final = 4.0
+MUCH_LEFT: Final = 7.0
 
 
 def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:

@@ -21,6 +21,7 @@ _ROLES: Final[dict[Role, str]] = {
     "head": "Dividing heads",
     "chamber": "Thermal chambers",
     "level": "Levels",
+    "thermometer": "Thermometers at the block",
     "power_supply": "Power supplies",
 }
 _RESOURCES: Final = (

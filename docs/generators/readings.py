@@ -30,6 +30,8 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "range_v": ("V", "range of the meter"),
     "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
+    "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),
+    "chamber_c": ("°C", "air of the chamber, beside it"),
     "alpha1_arcsec": ("″", "tilt of the shaft's axis in this mounting, as a level showed it"),
     "alpha2_arcsec": ("″", "as `alpha1_arcsec`, about the shaft: what the head's zero is off the vertical"),
     "u_alpha1_arcsec": ("″", "standard uncertainty of `alpha1_arcsec`"),

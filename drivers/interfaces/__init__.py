@@ -56,6 +56,7 @@ from drivers.interfaces.supply import (
     SetOtherwise,
     SupplyLimits,
 )
+from drivers.interfaces.thermometer import Thermometer
 
 __all__ = [
     "CHANNELS",
@@ -100,6 +101,7 @@ __all__ = [
     "SwitchInputs",
     "SwitchSupply",
     "ThermalChamber",
+    "Thermometer",
     "TurnHead",
     "Voltmeter",
     "VoltmeterLimits",

@@ -6,10 +6,12 @@ Source: 34970A User's Guide (34970-90003), chapter 4 "Rules for Using a Channel 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
+from drivers.agilent_34401a.facts import OVERLOAD_V
 from drivers.keysight_34970a import facts
 from sim.agilent_34401a.functions import Function, FunctionSettings, chosen_range, chosen_resolution
+from sim.keysight_34970a.temperature import TEMPERATURE, Transducer
 from sim.scpi.status import ScpiError
 from sim.scpi.values import DEF, Number, Value, within
 
@@ -85,9 +87,8 @@ def _exists(channel: int, cards: Mapping[int, str]) -> bool:
 
 
 class ChannelConfiguration:
-    """How one channel is measured; a `Measurement`."""
+    """How one channel is measured; a `Measurement`. With a `transducer` it is a temperature."""
 
-    function = DC_VOLTS
     bandwidth_hz = 20.0
 
     def __init__(self) -> None:
@@ -99,6 +100,12 @@ class ChannelConfiguration:
         self.autozero = True
         self.high_impedance = False
         self.stated_delay_s: float | None = None
+        self.transducer: Transducer | None = None
+
+    @property
+    def function(self) -> Function:
+        """The measuring function."""
+        return DC_VOLTS if self.transducer is None else TEMPERATURE
 
     @property
     def nplc(self) -> float:
@@ -121,9 +128,23 @@ class ChannelConfiguration:
         self.settings.autorange = range_value == DEF
         self.settings.resolution = fraction
 
+    def measure_temperature(self, transducer: Transducer) -> None:
+        """CONFigure:TEMPerature."""
+        self.preset()
+        self.transducer = transducer
+
     def set_delay(self, delay_s: float) -> None:
         """Set the channel delay, s, in steps of 1 ms. Raises `ScpiError` -222."""
         self.stated_delay_s = round(within(delay_s, 0.0, facts.LONGEST_CHANNEL_DELAY_S), 3)
+
+
+@runtime_checkable
+class HasSensor(Protocol):
+    """What is at a channel where a temperature can be measured."""
+
+    def shown_c(self, configured: str, time_s: float) -> float:
+        """Return what it shows as the sensor that is configured, °C."""
+        ...
 
 
 class CardInput:
@@ -150,6 +171,10 @@ class CardInput:
     def signal_v(self, time_s: float | None = None) -> float:
         """Return the voltage at the channel, V."""
         return 0.0 if self._wired is None else self._wired.signal_v(time_s)
+
+    def shown_c(self, configured: str, time_s: float) -> float:
+        """Return what a sensor at the channel shows as the one that is configured, °C; beyond all for no sensor."""
+        return self._wired.shown_c(configured, time_s) if isinstance(self._wired, HasSensor) else OVERLOAD_V
 
     def new_reading(self) -> None:
         """Say that a reading was triggered."""

@@ -1,11 +1,12 @@
 """A simulated 34970A or 34972A with 34901A multiplexer cards, each channel wired to a source or open.
 
-DC volts are complete; the meter's other functions, alarms, scaling, monitor and real-time clock are not here
-and answer -113. Source: 34970A User's Guide (34970-90003), chapters 4 and 5.
+DC volts are complete, of temperatures RTDs and thermistors; the meter's other functions, alarms, scaling, monitor
+and real-time clock are not here and answer -113. Source: 34970A User's Guide (34970-90003), chapters 4 and 5.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -21,6 +22,7 @@ from sim.keysight_34970a.channels import (
     listed,
 )
 from sim.keysight_34970a.scan import Scan
+from sim.keysight_34970a.temperature import KINDS, Transducer
 from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import (
@@ -28,6 +30,7 @@ from sim.scpi.values import (
     MAX,
     MIN,
     Boolean,
+    Choice,
     CommandParameter,
     Number,
     Text,
@@ -39,7 +42,7 @@ from sim.scpi.values import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from drivers.clock import Clock
 
@@ -83,11 +86,12 @@ class Keysight34970A(LineMeter):
         if not wiring or not set(wiring) <= set(numbers):
             raise ValueError(f"channels {sorted(wiring)} are not on the cards {self.cards}")
         common = wiring[min(wiring)]
+        inputs = {number: CardInput(wiring.get(number), common) for number in numbers}
         self._channels = {
             number: (
                 ChannelConfiguration(),
                 Converter(
-                    CardInput(wiring.get(number), common),
+                    inputs[number],
                     facts,
                     noise=noise,
                     accuracy=accuracy,
@@ -97,7 +101,7 @@ class Keysight34970A(LineMeter):
             for number in numbers
         }
         self._closed: set[int] = set()
-        self.scan = Scan(clock, self._channels, self._overload, self.device_clear_pending)
+        self.scan = Scan(clock, self._channels, inputs, self._overload, self.device_clear_pending)
         for lines in (self.scan.commands(), self._measure_commands(), self._sense_commands()):
             self.add(lines)
         self.add(self._route_commands())
@@ -135,6 +139,11 @@ class Keysight34970A(LineMeter):
         parameters = (ChannelList(words), ChannelList(words, optional=True), ChannelList(optional=True))
         return [
             Command("CONFigure:VOLTage[:DC]", self._configure, parameters),
+            Command(
+                "CONFigure:TEMPerature",
+                self._configure_temperature,
+                (Choice(KINDS), Number(words=(DEF,)), *parameters),
+            ),
             Command("CONFigure?", self._description, (ChannelList(optional=True),)),
             Command("MEASure:VOLTage[:DC]?", self._measure, parameters),
         ]
@@ -146,6 +155,17 @@ class Keysight34970A(LineMeter):
         range_value, resolution = (*numbers, DEF, DEF)[:2]
         for channel in channels:
             self._channels[channel][0].configure(range_value, resolution)
+        self.scan.abort()
+        self.scan.preset()
+        self.scan.define(channels)
+
+    def _configure_temperature(self, kind: str, number: Value, *values: Value) -> None:
+        if not str(values[-1]).startswith("("):
+            raise ScpiError(-109)
+        channels = self._split(values)[1]
+        probes = {channel: Transducer.of(kind, number, channel) for channel in channels}
+        for channel, probe in probes.items():
+            self._channels[channel][0].measure_temperature(probe)
         self.scan.abort()
         self.scan.preset()
         self.scan.define(channels)
@@ -183,7 +203,7 @@ class Keysight34970A(LineMeter):
             limits = {MIN: 0.0, MAX: facts.LONGEST_CHANNEL_DELAY_S}
             channel.set_delay(limits[value] if isinstance(value, str) else value)
 
-        volts, flag = "[SENSe:]VOLTage[:DC]", Boolean()
+        volts, degrees, flag = "[SENSe:]VOLTage[:DC]", "[SENSe:]TEMPerature", Boolean()
         return [
             *self._lines(
                 f"{volts}:RANGe", Number("V"), set_range, lambda c: f"{c.settings.range_value:+.8E}"
@@ -203,8 +223,20 @@ class Keysight34970A(LineMeter):
                 _set_automatic_delay,
                 lambda c: str(int(c.stated_delay_s is None)),
             ),
-            *self._lines("[SENSe:]FUNCtion", Text(), _set_function, lambda _: quoted("VOLT")),
+            *self._lines("[SENSe:]FUNCtion", Text(), _set_function, lambda c: quoted(c.function.name)),
+            *self._lines(f"{degrees}:NPLCycles", Number(), set_nplc, lambda c: f"{c.nplc:+.8E}"),
+            *self._lines("UNIT:TEMPerature", Choice(("C", "F", "K")), _set_unit, lambda _: "C"),
+            *(
+                Command(
+                    f"{degrees}:TRANsducer{of}?", partial(self._of_probe, show), (ChannelList(optional=True),)
+                )
+                for of, show in _OF_PROBE.items()
+            ),
         ]
+
+    def _of_probe(self, show: Callable[[Transducer], str], channels: str = "") -> str:
+        probes = [self._channels[channel][0].transducer or Transducer() for channel in self._of(channels)]
+        return ",".join(map(show, probes))
 
     def _lines(
         self,
@@ -276,6 +308,21 @@ class Keysight34970A(LineMeter):
             raise ScpiError(-222)
         card = self.cards.get(int(slot))
         return "HEWLETT-PACKARD,0,0,0" if card is None else f"HEWLETT-PACKARD,{card},0,2.3"
+
+
+_OF_PROBE: Final[dict[str, Callable[[Transducer], str]]] = {
+    ":TYPE": lambda probe: probe.kind,
+    ":RTD:TYPE": lambda probe: f"{probe.type:+d}",
+    ":FRTD:TYPE": lambda probe: f"{probe.type:+d}",
+    ":THERmistor:TYPE": lambda probe: f"{probe.type:+d}",
+    ":RTD:RESistance[:REFerence]": lambda _: "+1.00000000E+02",
+    ":FRTD:RESistance[:REFerence]": lambda _: "+1.00000000E+02",
+}
+
+
+def _set_unit(_channel: ChannelConfiguration, unit: Value) -> None:
+    if unit != "C":
+        raise ScpiError(-224)
 
 
 def _set_autorange(channel: ChannelConfiguration, flag: Value) -> None:

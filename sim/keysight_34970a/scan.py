@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from drivers.clock import Clock
     from sim.agilent_34401a.converter import Converter
-    from sim.keysight_34970a.channels import ChannelConfiguration
+    from sim.keysight_34970a.channels import CardInput, ChannelConfiguration
 
 _MOST_SWEEPS: Final = 50_000
 _LONGEST_TIMER_S: Final = 359_999.0
@@ -36,8 +36,8 @@ _EXTRAS: Final = ("UNIT", "TIME", "CHANnel", "ALARm")
 class Scan(MeasuringCycle):
     """Scan list, trigger settings, the scan under way, and the memory, which keeps the latest readings.
 
-    `channels` holds settings and converter of each channel. An endless scan (TRIGger:COUNt INFinity) can be
-    set but not started here (305), nor one of more readings than the memory holds.
+    `channels` holds settings and converter of each channel, `inputs` what is at it. An endless scan (TRIGger:COUNt
+    INFinity) can be set but not started here (305), nor one of more readings than the memory holds.
     """
 
     memory_depth = MEMORY_READINGS
@@ -47,10 +47,12 @@ class Scan(MeasuringCycle):
         self,
         clock: Clock,
         channels: Mapping[int, tuple[ChannelConfiguration, Converter]],
+        inputs: Mapping[int, CardInput],
         on_overload: Callable[[], None],
         interrupted: Callable[[], bool],
     ) -> None:
         self._channels = channels
+        self._inputs = inputs
         self._on_overload = on_overload
         self.channel_list: tuple[int, ...] = ()
         self._due: list[tuple[int, float]] = []
@@ -119,7 +121,11 @@ class Scan(MeasuringCycle):
     def _taken(self) -> Iterator[str]:
         for channel, time_s in self._due:
             configuration, converter = self._channels[channel]
-            value = converter.sample(configuration, time_s)
+            transducer = configuration.transducer
+            if transducer is None:
+                value = converter.sample(configuration, time_s)
+            else:
+                value = self._inputs[channel].shown_c(transducer.configured, time_s)
             if abs(value) >= OVERLOAD_V:
                 self._on_overload()
             yield self._text(channel, time_s, value, converter.step(configuration))

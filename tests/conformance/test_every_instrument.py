@@ -20,6 +20,7 @@ from bench.devices.heads import HeadTruth
 from bench.devices.levels import LevelTruth
 from bench.devices.registry import devices
 from bench.devices.supplies import SupplyTruth
+from bench.devices.thermometers import ThermometerTruth
 from bench.devices.voltmeters import VoltmeterTruth
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
@@ -35,6 +36,7 @@ from drivers.interfaces import (
     PowerSupply,
     SelfTesting,
     ThermalChamber,
+    Thermometer,
     Voltmeter,
 )
 from tests.support.instrument_stand import Mute, answering, bench_data, known, standing, written_bench
@@ -44,6 +46,7 @@ PROTOCOLS = {
     "head": DividingHead,
     "chamber": ThermalChamber,
     "level": Level,
+    "thermometer": Thermometer,
     "power_supply": PowerSupply,
 }
 TRUTHS = {
@@ -51,6 +54,7 @@ TRUTHS = {
     "head": HeadTruth,
     "chamber": ChamberTruth,
     "level": LevelTruth,
+    "thermometer": ThermometerTruth,
     "power_supply": SupplyTruth,
 }
 SHORT, LONG = "0.05 s", "60 s"
@@ -177,6 +181,7 @@ def test_one_that_falls_silent_later_is_lost_and_let_go(device, tmp_path):
             "voltmeter": lambda: driver.configure(stand.settings()),
             "head": lambda: driver.move(0.5, 1, "1/turn"),
             "chamber": lambda: driver.temperature("1/read"),
+            "thermometer": lambda: driver.block_c("1/read"),
             "level": lambda: driver.inclination("1/level", turned=False),
             "power_supply": lambda: driver.state("1/read"),
         }

@@ -5,7 +5,7 @@ import pytest
 
 from bench.readings.csv import format_csv, read_csv
 from bench.readings.reading import Reading, readings_of
-from bench.readings.supplied import Rail, between
+from bench.readings.supplied import Rail, between, columns_of, ranges_in_words
 
 RAILS = {"p15": Rail(15.01, 15.0, 0.061), "n15": Rail(-14.98, -15.0, 0.058)}
 
@@ -60,3 +60,12 @@ def test_rails_are_columns_of_the_table_and_of_its_file(tmp_path):
 
 def test_a_table_without_a_supply_has_no_such_columns():
     assert not readings_of([reading(1, {})], "here").extra
+
+
+def test_the_ranges_of_a_run_are_told_in_words():
+    later = {"p15": Rail(15.04, 15.0, 0.0655), "n15": Rail(-14.98, -15.0, 0.058)}
+    assert (
+        ranges_in_words(columns_of([RAILS, later, {}]))
+        == "p15 15.01 to 15.04 V, 61 to 65.5 mA; n15 -14.98 V, 58 mA"
+    )
+    assert ranges_in_words({}) == ""

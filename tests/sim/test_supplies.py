@@ -87,6 +87,16 @@ def test_an_e3631a_feeds_the_block_and_limits_its_current():
     assert not at.power.feeds_block(0.0)
 
 
+def test_an_e3631a_measures_in_its_steps():
+    at = world("P25V")
+    supply = KeysightE3631A(at)
+    tell(supply, "APPL P25V,15,0.2", "OUTP ON")
+    at.power.change("P25V", 0.0, offset_v=-0.0004)
+    assert tell(supply, "MEAS:VOLT? P25V") == ["+1.50000000E+01"]
+    at.power.change("P25V", 0.0, offset_v=-0.0010)
+    assert tell(supply, "MEAS:VOLT? P25V") == ["+1.49985000E+01"]
+
+
 def test_without_mains_it_says_nothing_and_comes_back_as_it_is_switched_on():
     at = world("P25V")
     supply = KeysightE3631A(at)

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.analysis.budget.meters import Size, linearity_of, size_of
 from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.thermometer import thermometer_size
 from bench.analysis.calibration.design import SYMBOLS, WEAK, EffectUnknown
 from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.devices.voltmeters import VoltmeterForm
@@ -279,13 +280,9 @@ def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """How far the temperature told may be from the true one: all of a run alike."""
-    certificate = getattr(bench.instruments.chamber, "certificate", None)
-    if certificate is not None:
-        worst = max(certificate.values, key=lambda value: value.U / value.k)
-        origin = f"certificate {certificate.number} of {certificate.date}: the largest U, k = {worst.k:g}"
-        source = ErrorSource(
-            "thermometer", "T", "K", Distribution(worst.U, k=worst.k), "run", "scale", origin, worst.dof
-        )
+    size = thermometer_size(bench)
+    if size is not None:
+        source = _sized(ErrorSource("thermometer", "T", "K", size.distribution, "run", "scale", ""), size)
         yield replace(source, factors=_temperature_source(bench).factors)
 
 

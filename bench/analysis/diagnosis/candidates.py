@@ -98,6 +98,13 @@ class Candidates:
         self.by_family = np.argsort(member, kind="stable")
         self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
 
+    def of_family(self, family: str) -> list[int]:
+        """Return the numbers of a family's variants."""
+        place = self.families.index(family)
+        stop = self.family_starts[place + 1] if place + 1 < len(self.families) else len(self.by_family)
+        members: list[int] = self.by_family[self.family_starts[place] : stop].tolist()
+        return members
+
 
 class Collector:
     """What is gathered of columns and of the variants that they make up."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -25,6 +26,7 @@ from bench.analysis.diagnosis.result import Diagnosis, EffectValue
 from bench.analysis.diagnosis.threshold import ThresholdCache
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import AppliedEffect, ForwardModel
+from bench.model.effects.in_part import InPart
 from bench.readings.table import Readings
 
 Word = Literal["confirmed", "changed", "gone"]
@@ -189,13 +191,19 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 
 
 def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
-    """Estimate the effects from these readings alone, and compare. Raises `CalibrationError` where none shows."""
-    unknowns, model = linear.problem.effects, linear.model
+    """Estimate the effects from these readings alone, and compare. Raises `CalibrationError` where none shows.
+
+    What the model leaves open of their shapes stays as it states it: these readings alone do not tell it better.
+    """
+    model = linear.model
+    whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
+    unknowns = list(compress(linear.problem.effects, whole))
+    places = np.arange(linear.own.start, linear.own.stop)[np.array(whole, dtype=bool)]
     plausible = np.array([_plausible(model, unknown) for unknown in unknowns])
     found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
     u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
-    own = linear.random[:, linear.own] * (plausible / [unknown.prior_u for unknown in unknowns])
-    free = replace(linear, random=np.delete(linear.random, linear.own, axis=1))
+    own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
+    free = replace(linear, random=np.delete(linear.random, places, axis=1))
     estimated = _estimated(free, own, found, diagnosis)
     return judged(model, unknowns, Estimated(plausible, found, u, *estimated))
 
@@ -218,6 +226,8 @@ def judged(model: ForwardModel, unknowns: Sequence[EffectUnknown], of: Estimated
     told = known < TOLD * KNOWN_SIZE
     effects, seen = [], []
     for number, applied in enumerate(model.effects):
+        if isinstance(applied.effect, InPart):
+            continue
         mine = np.array([unknown.effect == number for unknown in unknowns], dtype=bool)
         use = np.flatnonzero(mine & told)
         own = covariance[np.ix_(use, use)]

@@ -21,12 +21,14 @@ from bench.analysis.diagnosis.candidates import (
 from bench.analysis.diagnosis.common_volts import common_volts
 from bench.analysis.diagnosis.evidence import Data, Search, Whitened
 from bench.analysis.diagnosis.form.describe import describe
+from bench.analysis.diagnosis.form.instead import UNNAMED_FORM, unnamed_in_place
 from bench.analysis.diagnosis.form.search import Setting
 from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.holdout import measure_gap, near_ratios
 from bench.analysis.diagnosis.joint import find_mistakes_in_each, with_blocks
 from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.known_together import known_together
+from bench.analysis.diagnosis.left_open import left_open
 from bench.analysis.diagnosis.looked import look
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
@@ -37,7 +39,7 @@ from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
 from bench.analysis.diagnosis.rounding import digit_of
-from bench.analysis.diagnosis.shapes import beside, with_other_shapes
+from bench.analysis.diagnosis.shapes import beside, channels_of, with_other_shapes
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden, smallest
 from bench.analysis.diagnosis.where import find_places
@@ -81,7 +83,8 @@ def diagnose(
     registered = register(linear, limit)
     noise = noise_size(whitened, data, naming.columns)
     sized = fit_found(linear, candidates, naming, noise)
-    in_part = beside(candidates, naming, sized)
+    others = beside(candidates, naming, sized, channels_of(whitened, data, naming))
+    in_part = tuple(applied for of_find in others for applied in of_find)
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
     ratio = RATIOS.index(near_ratios(linear, noise)[1])
@@ -96,11 +99,22 @@ def diagnose(
     described = tuple(noise_kinds(linear, noise, looked.weighed, digit))
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit)
     of_copy = _verdict(False, effects, findings, gap)
+    instead: tuple[int, ...] = ()
+    if of_copy == "named":
+        instead = unnamed_in_place(linear, whitened, data, naming, in_part, setting_rad)
+        effects = tuple(_tied_with_form(e) if i in instead else e for i, e in enumerate(effects))
+        of_copy = _verdict(False, effects, findings, gap)
     form = None
-    if of_copy == "unknown":
-        given = [column for f in naming.found if f.variant.named for column in f.variant.columns]
+    if of_copy == "unknown" or instead:
+        given = [
+            column
+            for i, f in enumerate(naming.found)
+            if f.variant.named and i not in instead
+            for column in f.variant.columns
+        ]
         about = Setting(repeats.sigma, setting_rad, near_ratios(linear, noise), limit)
-        form = describe(linear, candidates.columns[:, given], repeats.sigma, about)
+        form = describe(linear, candidates.columns[:, given], repeats, about)
+        form = replace(form, instead_of=tuple(effects[i].name for i in instead))
     return Diagnosis(
         verdict=_verdict(bool(mistakes.mistakes), effects, findings, gap),
         of_copy=of_copy,
@@ -120,6 +134,7 @@ def diagnose(
         naming=naming,
         fitted=fitted,
         in_part=in_part,
+        left_open=left_open(linear, candidates, naming, others, fitted, noise),
         noise=noise,
         p_left=p_left,
         findings=findings,
@@ -176,9 +191,13 @@ def _p_left(whitened: Whitened, data: Data, naming: Naming) -> float:
 
 
 def _rank(search: Search, whitened: Whitened, ratio: int, columns: tuple[int, ...]) -> int:
-    gram = whitened.gram[ratio][np.ix_(columns, columns)]
+    gram = whitened.among(ratio, columns)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     return int(np.linalg.matrix_rank(gram * np.outer(scale, scale), tol=1e-6, hermitian=True))
+
+
+def _tied_with_form(effect: NamedEffect) -> NamedEffect:
+    return replace(effect, cannot_tell_from=(*effect.cannot_tell_from, UNNAMED_FORM))
 
 
 def _unexplained(p: float) -> NamedEffect:

@@ -10,13 +10,15 @@ Everything needed of data is r^T r and A^T r, so that many data sets are scored 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import Candidates, Variant
+from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
+from bench.analysis.diagnosis.products import OfColumns, OfGram, Products
 from bench.base.arrays import Floats, Ints
 from bench.base.progress import tracked
 
@@ -41,6 +43,10 @@ class Data:
     square: Floats
     along: Floats
 
+    def at(self, ratio: int) -> Data:
+        """Return what is needed for one ratio alone."""
+        return Data(self.square[ratio : ratio + 1], self.along[ratio : ratio + 1])
+
     def part(self, of: slice) -> Data:
         """Return some of the sets."""
         return Data(self.square[:, of], self.along[:, :, of])
@@ -53,21 +59,59 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The candidates' columns in units of the noise, by their Gram matrix (ratios, P, P)."""
+    """The candidates' columns in units of the noise, by their scalar products.
+
+    `kept` is for who searches in the same data again and again.
+    """
 
     grid: NoiseGrid
     candidates: Candidates
-    gram: Floats
+    products: Products
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
         """Whiten the columns of all candidates."""
-        many = candidates.columns.shape[1]
+        rows, many = candidates.columns.shape
+        scaled = candidates.columns / grid.sigma
+        if many > rows:
+            return cls(grid, candidates, OfColumns(np.stack([white @ scaled for white in grid.white])))
         gram = np.empty((len(grid.white), many, many))
         for ratio, white in enumerate(grid.white):
-            columns = white @ (candidates.columns / grid.sigma)
+            columns = white @ scaled
             gram[ratio] = columns.T @ columns
-        return cls(grid, candidates, gram)
+        return cls(grid, candidates, OfGram(gram))
+
+    @property
+    def ratios(self) -> int:
+        """How many ratios of the noise sizes there are."""
+        return len(self.grid.white)
+
+    def at(self, ratio: int) -> Whitened:
+        """Return the columns for one ratio alone."""
+        return Whitened(self.grid.at(ratio), self.candidates, self.products.at(ratio))
+
+    def among(self, ratio: int, columns: Sequence[int]) -> Floats:
+        """Return the Gram matrix (k, k) of some columns for one ratio."""
+        return np.asarray(self.products.at(ratio).among(np.array(columns, dtype=np.int64))[0])
+
+    @cached_property
+    def square(self) -> Floats:
+        """The square of each column, shape (ratios, P)."""
+        single = np.arange(self.candidates.columns.shape[1])[:, None]
+        return np.asarray(self.products.among(single)[..., 0, 0])
+
+    @cached_property
+    def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
+        """Variants with equally many columns: their numbers (v,), columns (v, p), Gram (ratios, v, p, p)."""
+        by_size: dict[int, list[int]] = {}
+        for number, variant in enumerate(self.candidates.variants):
+            by_size.setdefault(len(variant.columns), []).append(number)
+        return tuple(
+            (np.array(members), columns, self.products.among(columns))
+            for members in by_size.values()
+            for columns in (np.array([self.candidates.variants[m].columns for m in members]),)
+        )
 
     def reduce(self, response: Floats) -> Data:
         """Return what is needed of responses (N, sets)."""
@@ -97,37 +141,76 @@ class Group:
 class Search:
     """All variants beside a model that has the `known` columns already.
 
-    `gain` (ratios, known, P) fits the known columns (within a wide prior), `inner` (ratios, known, known) is
-    their Gram matrix with that prior.
+    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior, `half` (ratios,
+    known, P) the products with all others behind its inverse Cholesky factor, `gain` (ratios, known, P) fits them.
     """
 
     whitened: Whitened
     known: tuple[int, ...]
     gain: Floats
+    half: Floats
     inner: Floats
     log_det: Floats
-    groups: tuple[Group, ...]
 
     @classmethod
     def beside(cls, whitened: Whitened, known: Sequence[int]) -> Search:
         """Project the known columns out of all others."""
-        gram = whitened.gram
-        h = list(known)
-        inner = gram[:, h][:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2
-        gain = np.zeros((len(gram), 0, gram.shape[2]))
-        if h:
-            gain = np.asarray(np.linalg.solve(inner, gram[:, h]), dtype=np.float64)
-        log_det = -0.5 * np.linalg.slogdet(inner * KNOWN_SIZE**2)[1] if h else np.zeros(len(gram))
-        groups = _groups(gram, gain, h, whitened.candidates.variants)
-        return cls(whitened, tuple(h), gain, inner, log_det, groups)
+        h = np.array(known, dtype=np.int64)
+        across = whitened.products.across(h)
+        inner = across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2
+        factor = np.linalg.cholesky(inner)
+        inverse = np.linalg.inv(factor)
+        half = inverse @ across
+        gain = np.swapaxes(inverse, 1, 2) @ half
+        diagonal = np.diagonal(factor, axis1=1, axis2=2)
+        log_det = -np.sum(np.log(KNOWN_SIZE * diagonal), axis=1)
+        return cls(whitened, tuple(known), gain, half, inner, log_det)
 
-    def cross(self, ratio: int, rows: Sequence[int]) -> Floats:
-        """Return the Gram matrix of the columns `rows` with all others, the known ones projected out."""
-        gram = self.whitened.gram[ratio]
-        of_rows: Floats = gram[list(rows)]
+    @cached_property
+    def groups(self) -> tuple[Group, ...]:
+        """The variants that have none of the known columns."""
+        taken = np.zeros(self.whitened.candidates.columns.shape[1], dtype=bool)
+        taken[list(self.known)] = True
+        groups = []
+        for members, columns, blocks in self.whitened.blocks:
+            free = ~taken[columns].any(axis=1)
+            if free.any():
+                groups.append(self._group(members[free], columns[free], blocks[:, free]))
+        return tuple(groups)
+
+    def _group(self, members: Ints, columns: Ints, blocks: Floats) -> Group:
         if self.known:
-            of_rows = of_rows - of_rows[:, list(self.known)] @ self.gain[ratio]
-        return of_rows
+            seen = np.moveaxis(self.half[:, :, columns], 1, 2)
+            blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
+        match columns.shape[1]:
+            case 1:
+                values, vectors = blocks[:, :, 0], np.ones_like(blocks)
+            case 2:
+                values, vectors = _of_pairs(blocks)
+            case _:
+                values, vectors = np.linalg.eigh(blocks)
+        return Group(members, columns, vectors, np.maximum(values, 0.0))
+
+    @cached_property
+    def _together(self) -> tuple[Ints, Ints, Floats]:
+        """The groups' members (v,), where the eigenvalues of each begin (v,), and these (ratios, e)."""
+        values = [group.values for group in self.groups]
+        counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
+        starts = np.cumsum(counts) - counts
+        flat = np.concatenate([of.reshape(len(of), -1) for of in values], axis=1)
+        return np.concatenate([group.members for group in self.groups]), starts, flat
+
+    def between(self, ratio: int, columns: Sequence[int]) -> Floats:
+        """Return the Gram matrix (k, k) of some columns, the known ones projected out."""
+        gram = self.whitened.among(ratio, columns)
+        seen = self.half[ratio][:, list(columns)]
+        return np.asarray(gram - seen.T @ seen)
+
+    def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
+        """Return the products of columns (k,) times their sizes with all, the known ones projected out, (P,)."""
+        chosen = np.array(columns, dtype=np.int64)
+        across = sizes @ self.whitened.products.across_at(ratio, chosen)
+        return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
 
     def left_over(self, data: Data) -> Data:
         """Return the data with the known columns fitted."""
@@ -154,18 +237,18 @@ class Search:
         of_null = base + grid.log_likelihood(left.square)
         null = _log_sum(of_null)
         out = np.full((len(self.whitened.candidates.variants), left.sets), EXCLUDED)
-        for group in self.groups:
-            along = left.along[:, group.columns]
-            squares = (np.swapaxes(group.vectors, 2, 3) @ along) ** 2
+        if self.groups:
+            members, starts, values = self._together
+            squares = np.concatenate([_along(group, left) for group in self.groups], axis=1)
             of_size = []
             for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
-                weight = 1.0 / (group.values + 1.0 / size**2)
-                explained = np.einsum("gvks,gvk->gvs", squares, weight)
+                weight = 1.0 / (values + 1.0 / size**2)
+                explained = np.add.reduceat(squares * weight[:, :, None], starts, axis=1)
                 rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
-                cost = 0.5 * np.sum(np.log1p(size**2 * group.values), axis=2)
+                cost = 0.5 * np.add.reduceat(np.log1p(size**2 * values), starts, axis=1)
                 of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
             total = _log_sum(np.stack(of_size))
-            out[group.members] = _log_sum(base[:, None] + total)
+            out[members] = _log_sum(base[:, None] + total)
         return Scores(out - null, np.exp(of_null - null))
 
 
@@ -190,6 +273,14 @@ class Scores:
         return mean
 
 
+def _along(group: Group, left: Data) -> Floats:
+    """Return the squares of data along the eigenvectors of a group, shape (ratios, e, sets)."""
+    along = left.along[:, group.columns]
+    if group.columns.shape[1] > 1:
+        along = np.swapaxes(group.vectors, 2, 3) @ along
+    return np.asarray(along.reshape(len(along), -1, left.sets) ** 2)
+
+
 def _log_sum(logarithms: Floats) -> Floats:
     """Return ln of the sum of exponentials along the first axis, none of which is infinite."""
     largest = logarithms.max(axis=0)
@@ -197,21 +288,11 @@ def _log_sum(logarithms: Floats) -> Floats:
     return total
 
 
-def _groups(gram: Floats, gain: Floats, known: list[int], variants: Sequence[Variant]) -> tuple[Group, ...]:
-    by_size: dict[int, list[int]] = {}
-    for number, variant in enumerate(variants):
-        if not set(known).intersection(variant.columns):
-            by_size.setdefault(len(variant.columns), []).append(number)
-    groups = []
-    for size, members in by_size.items():
-        columns = np.array([variants[m].columns for m in members])
-        blocks = gram[:, columns[:, :, None], columns[:, None, :]]
-        if known:
-            at_known = gram[:, columns][:, :, :, known]
-            blocks = blocks - at_known @ np.moveaxis(gain[:, :, columns], 1, 2)
-        if size == 1:
-            values, vectors = blocks[:, :, 0], np.ones_like(blocks)
-        else:
-            values, vectors = np.linalg.eigh(blocks)
-        groups.append(Group(np.array(members), columns, vectors, np.maximum(values, 0.0)))
-    return tuple(groups)
+def _of_pairs(blocks: Floats) -> tuple[Floats, Floats]:
+    """Return eigenvalues (…, 2) and eigenvectors (…, 2, 2) of symmetric matrices (…, 2, 2)."""
+    first, second, mixed = blocks[..., 0, 0], blocks[..., 1, 1], blocks[..., 0, 1]
+    middle, apart = (first + second) / 2, (first - second) / 2
+    radius, turn = np.hypot(apart, mixed), np.arctan2(mixed, apart) / 2
+    cosine, sine = np.cos(turn), np.sin(turn)
+    vectors = np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
+    return np.stack([middle + radius, middle - radius], axis=-1), vectors

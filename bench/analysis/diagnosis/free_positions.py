@@ -98,7 +98,7 @@ def _noise(rows: FreeRows, whitened: Whitened, naming: Naming) -> NoiseSize:
     data: Data = whitened.reduce(rows.response[:, None])
     left = Search.beside(whitened, naming.columns).left_over(data).square[0, 0]
     chosen = list(naming.columns)
-    gram = whitened.gram[0][np.ix_(chosen, chosen)]
+    gram = whitened.among(0, chosen)
     rank = int(np.linalg.matrix_rank(gram, hermitian=True)) if chosen else 0
     freedom = whitened.grid.freedom - rank
     return NoiseSize(whitened.grid.sigma * float(np.sqrt(left / max(freedom, 1))), 0.0, freedom)
@@ -158,7 +158,7 @@ class _Teller:
     def _sizes(self, one: Found) -> tuple[Floats, Floats]:
         """Return the values of its columns, in plausible sizes, and their u."""
         columns = list(self.naming.columns)
-        gram = self.whitened.gram[0][np.ix_(columns, columns)] + np.eye(len(columns)) / KNOWN_SIZE**2
+        gram = self.whitened.among(0, columns) + np.eye(len(columns)) / KNOWN_SIZE**2
         covariance = np.linalg.inv(gram)
         along = self.whitened.reduce(self.rows.response[:, None]).along[0, columns, 0]
         place = next(p for f, p in self.naming.parts() if f is one)

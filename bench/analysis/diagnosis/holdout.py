@@ -165,13 +165,13 @@ class _Shown:
         for one, place in self.naming.parts():
             mine = list(one.variant.columns)
             search = Search.beside(whitened, [c for c in self.naming.columns if c not in mine])
-            gram = search.cross(ratio, mine)[:, mine]
+            gram = search.between(ratio, mine)
             parts.append(self._square(whitened, gram, self.amplitudes[place]))
         return tuple(parts)
 
     def _whole(self, whitened: Whitened, ratio: int) -> float:
         columns = list(self.naming.columns)
-        return self._square(whitened, whitened.gram[ratio][np.ix_(columns, columns)], self.amplitudes)
+        return self._square(whitened, whitened.among(ratio, columns), self.amplitudes)
 
     def _square(self, whitened: Whitened, gram: Floats, part: Floats) -> float:
         return max(float(part @ gram @ part), 0.0) * (whitened.grid.sigma / self.noise.reading) ** 2
@@ -182,7 +182,7 @@ class _Shown:
             return ""
         half = np.sqrt(2.0 * max(threshold.value + np.log(len(rest.candidates.families)), 1.0))
         sure = (half + SURE) ** 2
-        middle = len(rest.gram) // 2
+        middle = rest.ratios // 2
         if self._own_value(linear, held) >= LEAST_FALL:
             return OWN_VALUE
         whole = self._whole(rest, middle)

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.calibration.calibrate import first_guess
-from bench.analysis.calibration.design import FIXED, Problem, coefficient_columns, make_problem
+from bench.analysis.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
 from bench.analysis.diagnosis.orientation import Orientation, as_measured, orientation_of
 from bench.base.arrays import Floats, Ints
-from bench.model import STAND_ANGLES, AppliedEffect, Block, Conditions, ForwardModel
+from bench.model import STAND_ANGLES, AppliedEffect, Block, Conditions, ForwardModel, Stage
+from bench.model.effects import Seen
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
 
 MODULUS: Final = 3
@@ -122,6 +123,47 @@ class LinearSystem:
 
     def _change(self, applied: AppliedEffect) -> Floats:
         return self.view.read(replace(self.model, effects=(applied,)), self.block) - self._still
+
+    def formula_columns(self, applied: AppliedEffect) -> Floats:
+        """Return what an effect that needs no path adds to the rows, one stage of the model made linear.
+
+        Of an effect of the stand or the head shape (N, 1), else (N, 3), of each channel apart.
+        """
+        effect = applied.effect
+        match effect.stage:
+            case Stage.STAND | Stage.HEAD_ANGLE:
+                force, by_angle = self._stand
+                many = (len(force), len(STAND_ANGLES))
+                signal = np.zeros(many) if effect.stage is Stage.STAND else self.conditions.angle_rad
+                added = applied.addition(Seen(signal, self.conditions, self.block))
+                by = by_angle[:, :, :-1] if effect.stage is Stage.STAND else by_angle[:, :, -1:]
+                change = np.einsum("nij,nj->ni", by, added.reshape(len(force), -1))
+                return self.view.rows_of(change)[:, None]
+            case _:
+                force, at_inputs = self._stand[0], self._still
+                of_block = effect.stage is Stage.BLOCK_OUTPUT
+                change = applied.addition(Seen(force if of_block else at_inputs, self.conditions, self.block))
+                if of_block:
+                    change = np.where(np.isnan(self.view.voltage_v), change, 0.0)
+                return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
+
+    @cached_property
+    def _stand(self) -> tuple[Floats, Floats]:
+        """Specific force (n, 3) without any effect; derivatives (n, 3, 6) of the readings, stand angles, head."""
+        model, conditions = replace(self.model, effects=()), self.conditions
+        still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
+        known = [mount.installation in model.installations for mount in conditions.mounts]
+        turned = np.array(known, dtype=bool)[conditions.mount] & np.isnan(self.view.force[:, 0])
+
+        def acting(stand: Floats, setting_rad: float = 0.0) -> Floats:
+            own = model.readings_in_order(self.block, conditions, stand, setting_rad, force=self.view.force)
+            return np.where(turned[:, None] & np.isnan(self.view.voltage_v), own, 0.0)
+
+        steps = [STEP_RAD * (np.arange(len(STAND_ANGLES)) == i) for i in range(len(STAND_ANGLES))]
+        differences = [acting(still + step) - acting(still - step) for step in steps]
+        differences.append(acting(still, STEP_RAD) - acting(still, -STEP_RAD))
+        force = np.asarray(self.block.specific_force(self.view.read(model, self.block)))
+        return force, np.stack(differences, axis=2) / (2 * STEP_RAD)
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
         """Return what an effect with these values adds to the rows, shape (N,): its difference from none."""

@@ -86,7 +86,21 @@ class Scored:
 
     @classmethod
     def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
-        """Score all variants beside a model that has the `known` columns already."""
+        """Score all variants beside a model that has the `known` columns already.
+
+        What was scored last of the same data is kept: a search asks for the same again and again.
+        """
+        kept = _kept(whitened, data)
+        key = tuple(sorted(known))
+        scored = kept.pop(key, None)
+        scored = cls._beside(whitened, data, key) if scored is None else scored
+        kept[key] = scored
+        if len(kept) > MOST_KEPT:
+            del kept[next(iter(kept))]
+        return scored
+
+    @classmethod
+    def _beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
         search = Search.beside(whitened, known)
         scores = search.score(data)
         families = scores.families(whitened.candidates)[:, 0].tolist()
@@ -109,10 +123,9 @@ class Scored:
         return Found(variant, self.evidence[family], self.total, math.sqrt(self.explained(variant)))
 
     def _best_variant(self, family: str) -> Variant:
-        variants = self.search.whitened.candidates.variants
-        evidence = {
-            i: float(self.scores.variants[i, 0]) for i, v in enumerate(variants) if v.family == family
-        }
+        candidates = self.search.whitened.candidates
+        variants = candidates.variants
+        evidence = {i: float(self.scores.variants[i, 0]) for i in candidates.of_family(family)}
         best = max(evidence, key=lambda i: evidence[i])
         rivals = [i for i in evidence if evidence[best] - evidence[i] < LESS_PLAUSIBLE]
         by_pass = family in CATALOGUE and CATALOGUE[family].per_pass
@@ -129,10 +142,23 @@ class Scored:
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
         """Return the sizes of a form's columns (p,) and their Gram matrix (p, p) beside what is known."""
         columns = list(variant.columns)
-        gram = self.search.cross(self.ratio, columns)[:, columns]
+        gram = self.search.between(self.ratio, columns)
         along = self.left.along[self.ratio, columns, 0]
         amplitude = np.linalg.solve(gram + np.eye(len(columns)) / KNOWN_SIZE**2, along)
         return np.asarray(amplitude, dtype=np.float64), gram
+
+
+MOST_KEPT: Final = 24
+"""So many models are kept of the data that were scored last."""
+
+
+def _kept(whitened: Whitened, data: Data) -> dict[tuple[int, ...], Scored]:
+    """Return what is kept of these data, by the columns that the model had; of other data it is forgotten."""
+    if whitened.kept.get("data") is not data:
+        whitened.kept.clear()
+        whitened.kept.update(data=data, scored={})
+    scored: dict[tuple[int, ...], Scored] = whitened.kept["scored"]
+    return scored
 
 
 def name(
@@ -162,20 +188,25 @@ def name(
 def _named_pair(scored: Scored, data: Data, unnamed: Found) -> list[Found] | None:
     """Return two effects of the catalogue that together explain what only an unnamed family does alone.
 
-    Something free explains two effects of one channel at once, and would hide both.
+    Something free explains two effects of one channel at once, and would hide both. Which pair is the best the
+    likeliest ratio of the noise sizes tells; all of them say how good it is.
     """
     search, evidence = scored.search, scored.evidence
-    best: tuple[float, list[Found]] | None = None
     named = [family for family in evidence if family not in UNNAMED]
+    likeliest = search.whitened.at(scored.ratio), data.at(scored.ratio)
+    best: tuple[float, Found] | None = None
     for family in sorted(named, key=lambda family: -evidence[family])[:FIRST_OF_PAIR]:
         first = scored.found(family)
-        second = Scored.beside(search.whitened, data, [*search.known, *first.variant.columns]).best()
+        second = Scored.beside(*likeliest, [*search.known, *first.variant.columns]).best()
         joint = first.evidence + second.evidence
         if second.variant.named and (best is None or joint > best[0]):
-            best = joint, [first, second]
-    if best is None or best[0] < unnamed.evidence + PAIR_MARGIN:
+            best = joint, first
+    if best is None:
         return None
-    return best[1]
+    first = best[1]
+    second = Scored.beside(search.whitened, data, [*search.known, *first.variant.columns]).best()
+    enough = first.evidence + second.evidence >= unnamed.evidence + PAIR_MARGIN
+    return [first, second] if second.variant.named and enough else None
 
 
 def _columns(found: list[Found], but: int | None = None) -> list[int]:
@@ -240,7 +271,7 @@ def tied(scored: Scored, one: Found) -> Found:
 def _explaining(scored: Scored, variant: Variant, amplitude: Floats, enough: float) -> dict[str, int]:
     """Return the families that explain `enough` of a signature, with the fewest numbers that it takes them."""
     search, ratio = scored.search, scored.ratio
-    across = amplitude @ search.cross(ratio, variant.columns)
+    across = search.along(ratio, variant.columns, amplitude)
     fewest: dict[str, int] = {}
     for group in search.groups:
         values = group.values[ratio]

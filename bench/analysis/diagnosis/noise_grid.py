@@ -13,7 +13,7 @@ memory grow with the number of readings and not with its square: many runs are o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -89,6 +89,17 @@ class NoiseGrid:
     sigma: float
     freedom: int
     known: bool = False
+
+    def at(self, ratio: int) -> NoiseGrid:
+        """Return the grid with one ratio alone."""
+        one = slice(ratio, ratio + 1)
+        return replace(
+            self,
+            white=self.white[one],
+            log_det=self.log_det[one],
+            log_prior=self.log_prior[one],
+            setting_rad_per_noise=self.setting_rad_per_noise[one],
+        )
 
     def log_likelihood(self, square: Floats) -> Floats:
         """Return ln of the likelihood of residuals with this sum of squares, in units of `sigma` squared."""

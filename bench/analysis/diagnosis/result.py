@@ -126,7 +126,8 @@ class Diagnosis:
     error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
     plausible sizes, that are found in half of all runs, `smallest` of effects with several in whatever
     direction. `linear`, `candidates`, `naming`, `fitted` and `noise` are what plots and report are drawn from;
-    `in_part` what the effects may have of other shapes, which is in the coefficients' u; `findings` where noise is
+    `in_part` what the effects may have of other shapes, which is in the coefficients' u, `left_open` what the
+    readings left of it, for a model file; `findings` where noise is
     larger than stated, `noise_kinds` in what it is no normal noise of one size.
     """
 
@@ -147,6 +148,7 @@ class Diagnosis:
     naming: Naming
     fitted: Posterior
     in_part: tuple[AppliedEffect, ...]
+    left_open: tuple[AppliedEffect, ...]
     noise: NoiseSize
     p_left: float
     form: FreeForm | None = None

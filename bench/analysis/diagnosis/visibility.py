@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -69,7 +69,8 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
                 }
                 if len(own) < len(of):
                     continue
-                one = _smallest_of(whitened.gram[ratio], own, of, half)
+                gram = whitened.among(ratio, list(own.values()))
+                one = _smallest_of(gram, own, of, half)
                 known = best.get((variant.family, unit))
                 if one is not None and (known is None or (one.part, one.size) < (known.part, known.size)):
                     best[variant.family, unit] = one
@@ -80,11 +81,10 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
 
 
 def _smallest_of(
-    gram: Floats, own: Mapping[str, int], of: Mapping[str, Parameter], half: float
+    gram: Floats, own: Collection[str], of: Mapping[str, Parameter], half: float
 ) -> Smallest | None:
-    columns = list(own.values())
     scale = np.array([of[name].plausible / of[name].si_per_unit for name in own])
-    shows, directions = np.linalg.eigh(gram[np.ix_(columns, columns)] / np.outer(scale, scale))
+    shows, directions = np.linalg.eigh(gram / np.outer(scale, scale))
     # in plausible sizes, so that a direction beyond belief is one in every unit
     reach = half / np.sqrt(np.maximum(shows, 1e-300))
     beyond = reach * np.linalg.norm(directions / scale[:, None], axis=0) > BEYOND_BELIEF
@@ -128,7 +128,7 @@ def hidden(
 
 def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list[tuple[str, str]]]:
     candidates = whitened.candidates
-    seen = np.sqrt(np.maximum(np.diagonal(whitened.gram[ratio]), 0.0))
+    seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0))
     best: dict[tuple[str, str, str], float] = {}
     for variant in candidates.variants:
         if variant.named:

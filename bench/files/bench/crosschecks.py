@@ -26,7 +26,7 @@ _OVER_RANGE: Final = 1.2
 _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
-FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "power_supply")
+FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
 """The roles of which a bench has one instrument at most."""
 
 
@@ -87,9 +87,23 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if not isinstance(resource, str):
             continue
         where = bus_place(resource) or resource
-        if where in known:
+        if where in known and not (inside == ("thermometer",) and _is_beside_signals(data, resource)):
             yield place, f"'{resource}' is {known[where]} already"
         known.setdefault(where, called)
+
+
+def _is_beside_signals(data: Any, resource: str) -> bool:
+    """Whether the thermometer is on a channel of the multiplexer at this address that has no signal."""
+    section = part(data, "instruments", "thermometer")
+    meters = [m for m in _items(part(data, "instruments", "voltmeters")) if part(m, "resource") == resource]
+    taken = [str(part(meter, "inputs", channel)) for meter in meters for channel in CHANNELS]
+    own = str(part(section, "channel"))
+    return (
+        part(section, "driver") == "keysight-34970a-thermometer"
+        and all(part(meter, "driver") == "keysight-34970a" for meter in meters)
+        and bool(meters)
+        and not {own, str(int(own) + 10) if own.isdecimal() else own} & set(taken)
+    )
 
 
 def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:

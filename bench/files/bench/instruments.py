@@ -14,10 +14,11 @@ from bench.devices.heads import HeadForm
 from bench.devices.levels import LevelForm
 from bench.devices.registry import chosen_by_driver
 from bench.devices.supplies import SupplyForm
+from bench.devices.thermometers import ThermometerForm
 from bench.devices.voltmeters import VoltmeterForm
 from bench.devices.wires import WiredForm
 
-InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | SupplyForm
+InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
 
 
 class InstrumentsSection(FileModel):
@@ -30,15 +31,22 @@ class InstrumentsSection(FileModel):
     head: Annotated[HeadForm, chosen_by_driver("head")]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber")] = None
     level: Annotated[LevelForm | None, chosen_by_driver("level")] = None
+    thermometer: Annotated[ThermometerForm | None, chosen_by_driver("thermometer")] = None
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply")] = None
 
     def all(self) -> Iterator[InstrumentForm]:
         """Yield the section of every instrument: voltmeters, head, and what else there is."""
         yield from self.voltmeters
         yield self.head
-        for further in (self.chamber, self.level, self.power_supply):
+        for further in (self.chamber, self.level, self.thermometer, self.power_supply):
             if further is not None:
                 yield further
+
+    @property
+    def meter_of_thermometer(self) -> VoltmeterForm | None:
+        """The voltmeter of which the thermometer is one channel more; None where it has its own wire, or none."""
+        resource = getattr(self.thermometer, "resource", None)
+        return next((meter for meter in self.voltmeters if resource and meter.resource == resource), None)
 
     @property
     def adapters(self) -> dict[str, str]:
@@ -66,4 +74,5 @@ class RecordedInstruments(InstrumentsSection):
     head: Annotated[HeadForm, chosen_by_driver("head", recorded=True)]
     chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber", recorded=True)] = None
     level: Annotated[LevelForm | None, chosen_by_driver("level", recorded=True)] = None
+    thermometer: Annotated[ThermometerForm | None, chosen_by_driver("thermometer", recorded=True)] = None
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply", recorded=True)] = None

@@ -13,6 +13,7 @@ from bench.devices.chambers import ChamberTruth
 from bench.devices.heads import HeadTruth
 from bench.devices.levels import LevelTruth
 from bench.devices.supplies import SupplyTruth
+from bench.devices.thermometers import ThermometerTruth
 from bench.devices.voltmeters import VoltmeterTruth
 
 Row = Annotated[tuple[ScaleFactor, ...], Field(min_length=3, max_length=3)]
@@ -106,6 +107,7 @@ class SimulationSection(FileModel):
     head: HeadTruth = HeadTruth()
     chamber: ChamberTruth = ChamberTruth()
     level: LevelTruth = LevelTruth()
+    thermometer: ThermometerTruth = ThermometerTruth()
     power_supply: SupplyTruth = SupplyTruth()
     ambient_temperature: TemperatureC = 23.0
     faults: tuple[FaultSection, ...] = ()

@@ -136,6 +136,7 @@ def without(bench: BenchFile, names: Set[str]) -> BenchFile:
         "voltmeters": tuple(own(meter) for meter in instruments.voltmeters),
         "head": own(instruments.head),
         "chamber": own(instruments.chamber),
+        "thermometer": own(instruments.thermometer),
     }
     return bench.model_copy(update={"instruments": instruments.model_copy(update=kept)})
 
@@ -148,8 +149,9 @@ def corrections_of(bench: BenchFile) -> Corrections:
         for channel in meter.channels if values else ():
             gain[channel] = values.gain.correction if values and values.gain else 0.0
             offset_v[channel] = values.offset.correction if values and values.offset else 0.0
-    head, chamber = bench.instruments.head.certificate, bench.instruments.chamber
-    thermometer = chamber.certificate if chamber is not None else None
+    head = bench.instruments.head.certificate
+    told_by = bench.instruments.thermometer or bench.instruments.chamber
+    thermometer = told_by.certificate if told_by is not None else None
     return Corrections(
         gain=(gain["x"], gain["y"], gain["z"]),
         offset_v=(offset_v["x"], offset_v["y"], offset_v["z"]),

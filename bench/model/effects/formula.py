@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Mask
-from bench.model.conditions import Conditions
 from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values
 from bench.model.effects.expression import (
     LAGGED,
@@ -23,7 +22,7 @@ from bench.model.effects.expression import (
     names_in,
 )
 from bench.model.effects.thermal import lagged
-from bench.model.geometry import STAND_ANGLES, within_half_turn
+from bench.model.geometry import STAND_ANGLES
 
 SUBSYSTEM_OF: Final[Mapping[Stage, Subsystem]] = {
     Stage.STAND: Subsystem.STAND,
@@ -166,47 +165,17 @@ def _axis_after(steps: int) -> Variable:
     return lambda seen: np.roll(seen.signal, -steps, axis=1)
 
 
-class _Turns:
-    """How far the head was turned up to each reading, rad, by the shortest way from angle to angle.
-
-    A reading without an angle keeps what the one before it had, and is no remount.
-    """
-
-    def __init__(self, conditions: Conditions) -> None:
-        n = len(conditions)
-        steps, begins = np.zeros(n), np.zeros(n, dtype=bool)
-        rows = np.flatnonzero(np.isfinite(conditions.angle_rad))
-        angle, mount = conditions.angle_rad[rows], conditions.mount[rows]
-        steps[rows[1:]] = within_half_turn(np.diff(angle))
-        begins[rows[:1]] = True
-        begins[rows[1:]] = mount[1:] != mount[:-1]
-        self._first = np.maximum.accumulate(np.where(begins, np.arange(n), 0)) if n else np.zeros(0, np.int64)
-        self.wound: Floats = np.cumsum(steps)
-        self._to_and_fro: Floats = np.cumsum(np.abs(steps))
-        self.visit: Floats = np.cumsum(begins).astype(np.float64)
-
-    @property
-    def turned(self) -> Floats:
-        """Since the block was mounted, with sign."""
-        return np.asarray(self.wound - self.wound[self._first])
-
-    @property
-    def travelled(self) -> Floats:
-        """Since the block was mounted, to and fro."""
-        return np.asarray(self._to_and_fro - self._to_and_fro[self._first])
-
-
 _COMMON: Final[dict[str, Variable]] = {
     "pi": lambda seen: np.full(len(seen.conditions), np.pi),
     "angle": lambda seen: seen.conditions.angle_rad,
-    "turned": lambda seen: _Turns(seen.conditions).turned,
-    "wound": lambda seen: _Turns(seen.conditions).wound,
-    "travelled": lambda seen: _Turns(seen.conditions).travelled,
+    "turned": lambda seen: seen.conditions.head_turns.turned,
+    "wound": lambda seen: seen.conditions.head_turns.wound,
+    "travelled": lambda seen: seen.conditions.head_turns.travelled,
     "direction": lambda seen: seen.conditions.direction.astype(np.float64),
     "time": lambda seen: seen.conditions.elapsed_s,
     "temperature": lambda seen: seen.conditions.warmth_k,
     "pass_number": lambda seen: seen.conditions.pass_number.astype(np.float64),
-    "visit": lambda seen: _Turns(seen.conditions).visit,
+    "visit": lambda seen: seen.conditions.head_turns.visit,
 }
 
 

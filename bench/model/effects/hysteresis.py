@@ -40,7 +40,11 @@ class Hysteresis(BlockEffect):
 
         Raises `ValueError` when the conditions do not say how the block sits (`Conditions.turns`).
         """
-        return seen.scale * values["size"] * state(seen.conditions, float(values["width_g"]))
+        width_g = float(values["width_g"])
+        kept = seen.conditions.memory
+        if (self.name, width_g) not in kept:
+            kept[self.name, width_g] = state(seen.conditions, width_g)
+        return np.asarray(seen.scale * values["size"] * kept[self.name, width_g])
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:

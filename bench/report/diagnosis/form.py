@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from bench.analysis.diagnosis import Diagnosis
+from bench.analysis.diagnosis.form.dark import Dark
 from bench.analysis.diagnosis.form.describe import FormTerm
 from bench.base.numbers import quantity, rounded, two_digits
 from bench.report.diagnosis.words import with_unit
@@ -35,6 +38,10 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
         return
     if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
         yield "no term of the dictionary describes it"
+    if form.instead_of and form.terms:
+        yield f"as plausible without a name, in the place of {', '.join(dict.fromkeys(form.instead_of))}:"
+    elif form.instead_of:
+        yield "what is left beside the names speaks for something without a name that is too small to describe"
     for term in form.terms:
         yield term_in_words(term)
         also = f"; could also be: {'; '.join(term.could_also_be)}" if term.could_also_be else ""
@@ -51,5 +58,17 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
         one = form.scatter
         sizes = f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
         yield f"scatter without a form: {one.words}, {sizes}"
-    if form.dark > 0.0 and (form.terms or form.scatter is not None):
-        yield f"what stays unexplained: {quantity(form.dark, form.unit)} in each reading (dark uncertainty)"
+    if form.terms or form.scatter is not None:
+        yield _dark_in_words(form.dark, form.unit)
+
+
+def _dark_in_words(dark: Dark, unit: str) -> str:
+    if not np.isfinite(dark.upper):
+        return "what stays unexplained cannot be told: there are no readings beside the repeats"
+    limit = f"less than {quantity(dark.upper, unit)} (95 %)"
+    if not dark.there:
+        return (
+            f"what stays unexplained in each reading is no more than chance gives (p = {dark.p:.2g}): {limit}"
+        )
+    sizes = f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}"
+    return f"what stays unexplained: {sizes} (dark uncertainty)"

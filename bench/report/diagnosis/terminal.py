@@ -11,6 +11,7 @@ from rich.table import Table
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
 from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.confirm import Confirmation
+from bench.analysis.diagnosis.form.instead import UNNAMED_FORM
 from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
 from bench.analysis.diagnosis.show import Shown
 from bench.base.numbers import concise, quantity, typeset
@@ -129,6 +130,8 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
         parts = [other, words.shift_in_words(ranking, other)]
         if other in CATALOGUE:
             parts.append(f"to tell them apart: {CATALOGUE[other].shown_by}")
+        if other == UNNAMED_FORM:
+            parts.append("something without a name, of another form, is as plausible")
         out.print(f"  the data cannot tell it from {'; '.join(filter(None, parts))}")
     for other in effect.plainer_than:
         why = "would explain it with more parameters, the plainer one is taken"
@@ -143,7 +146,7 @@ def _form(full: FullDiagnosis, out: Console) -> None:
     out.print("The form of what has no name:", style="bold")
     for line in lines:
         out.print(f"  {typeset(line)}")
-    if full.diagnosis.form is not None and full.diagnosis.form.predicts and full.model is not None:
+    if full.diagnosis.form is not None and full.diagnosis.form.applied and full.model is not None:
         out.print(f"  to give it a name: bench accept {full.model} --name NAME --sentence TEXT")
 
 

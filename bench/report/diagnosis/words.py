@@ -340,7 +340,7 @@ def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
             text += f"; plainer than {', '.join(effect.plainer_than)}"
         if effect.applied:
             evidence[label(effect.applied[0])] = text
-    if diagnosis.form is not None:
+    if diagnosis.form is not None and diagnosis.form.applied:
         evidence |= _evidence_for_form(diagnosis.form)
     evidence["gap"] = gap.reason
     if gap.opened:

@@ -16,11 +16,11 @@ from tests.support.paper_bench import TRUTH
 MINUTES = 60.0
 
 
-def test_other_shapes_are_those_of_the_grid_and_one_beyond_either_end():
+def test_other_shapes_are_those_of_the_grid_between_and_one_beyond_either_end():
     warm_up = [tau / MINUTES for ((_, tau),) in other_shapes(CATALOGUE["warm_up"], (("tau", 20 * MINUTES),))]
-    assert warm_up == [5, 10, 15, 30, 45, 60, 120]
+    assert warm_up == pytest.approx([5, 50**0.5, 10, 15, 30, 45, 60, 7200**0.5, 120])
     lag = [tau / MINUTES for ((_, tau),) in other_shapes(CATALOGUE["thermal_bias"], (("lag", 0.0),))]
-    assert lag == [2.5, 5, 10, 20, 30, 60]
+    assert lag == pytest.approx([2.5, 12.5**0.5, 5, 50**0.5, 10, 200**0.5, 20, 30, 1800**0.5, 60])
     # once or twice a turn: there is nothing between
     assert list(other_shapes(CATALOGUE["axis_wobble"], (("harmonic", 2.0),))) == []
 
@@ -57,7 +57,7 @@ def test_biases_after_a_fitted_warm_up_are_within_their_u(taus_min):
         noise = NoiseSize(NOISE_V, STAND["setting_error"], 120)
         naming = named(ready, (0, 1), 20)
         sized = fit_found(ready.linear, ready.candidates, naming, noise)
-        in_part = beside(ready.candidates, naming, sized)
+        (in_part,) = beside(ready.candidates, naming, sized)
         whole = fit_found(with_other_shapes(ready.linear, in_part), ready.candidates, naming, noise)
         for name, fit in (("sized", sized), ("whole", whole)):
             off = ready.linear.block.vector + fit.mean[:12] - TRUTH
@@ -67,3 +67,30 @@ def test_biases_after_a_fitted_warm_up_are_within_their_u(taus_min):
     # with the shape held the pulls are no noise at all; with it free their squares are at most chi-square
     assert special.chdtrc(count, square["sized"]) < 1e-6
     assert special.chdtrc(count, square["whole"]) > 1e-3
+
+
+def test_what_some_channels_have_another_may_have_as_far_as_that_is_plausible():
+    ready = set_up(paper_run(np.random.default_rng(5), directions=(1, -1, 1)))
+    drift = next(v for v in ready.candidates.variants if v.family == "scale_drift" and v.channels == (0, 2))
+    naming = Naming((Found(drift, 100.0, 100.0, 30.0),), -1.0)
+    sized = fit_found(ready.linear, ready.candidates, naming, NoiseSize(NOISE_V, STAND["setting_error"], 120))
+    largest = max(abs(sized.amplitudes)) * ready.candidates.scale[drift.columns[0]]
+    ((one,),) = beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.25, 1.0])})
+    assert one.channels == ("y",)
+    assert one.u["rate"] == pytest.approx([0.0, 0.5 * largest, 0.0])
+    assert beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.0, 1.0])}) == ((),)
+
+
+def test_a_voltmeter_that_is_not_linear_has_no_gain_that_could_be_told():
+    ready = set_up(paper_run(np.random.default_rng(5), directions=(1, -1, 1)))
+    bent = next(
+        v
+        for v in ready.candidates.variants
+        if v.family == "voltmeter_nonlinearity" and ready.candidates.kinds[v.columns[0]].parameter == "q3"
+    )
+    naming = Naming((Found(bent, 100.0, 100.0, 30.0),), -1.0)
+    sized = fit_found(ready.linear, ready.candidates, naming, NoiseSize(NOISE_V, STAND["setting_error"], 120))
+    ((gain,),) = beside(ready.candidates, naming, sized)
+    cubic_v = abs(sized.amplitudes[0]) * ready.candidates.scale[bent.columns[0]]
+    assert gain.effect.name == "voltmeter_gain"
+    assert float(gain.u["gain"]) == pytest.approx(cubic_v / 2.5)

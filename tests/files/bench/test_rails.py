@@ -1,14 +1,17 @@
 """How the block is fed, in a bench file: what it says, and all that is wrong with it at once."""
 
 import copy
+import json
 
 import pytest
+import yaml
 
 from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
-from bench.files.bench.rails import DriftForm
+from bench.files.bench.rails import DriftForm, UnitSupplySection
 from bench.files.shipped import find_bench
 from tests.support.fed_bench import FEED, MANUAL, N15, P15, fed_bench, write_fed
+from tests.support.pages import DOCS, blocks
 
 
 def told(folder, feed):
@@ -129,3 +132,23 @@ def test_a_block_that_is_fed_has_a_power_supply_on_its_bench(tmp_path):
     path.write_text(head + rest[rest.index("stand:") :], encoding="utf-8")
     with pytest.raises(FileMistakes, match="the bench has no power supply"):
         load_bench(path)
+
+
+@pytest.mark.parametrize("name", ["bench-gpib", "bench-lan"])
+def test_the_supply_that_a_shipped_bench_file_shows_in_comments_is_one(tmp_path, name):
+    lines = find_bench(name).read_text(encoding="utf-8").splitlines()
+    supply = next(i for i, line in enumerate(lines) if line.startswith("  # supply:"))
+    end = next(i for i in range(supply, len(lines)) if not lines[i].startswith("  #"))
+    for i in (next(i for i, x in enumerate(lines) if "# power_supply:" in x), *range(supply, end)):
+        lines[i] = lines[i].replace("# ", "", 1)
+    (tmp_path / "bench.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    bench = load_bench(tmp_path / "bench.yaml")
+    assert [rail.name for rail in bench.unit_under_test.supply.rails] == ["p15", "n15"]
+    assert load_bench(find_bench(name)).unit_under_test.supply is None
+
+
+def test_the_supply_that_the_page_shows_is_one():
+    (shown,) = [b.text for b in blocks(DOCS / "real-bench.md") if b.marked("file") == "fed-part.yaml"]
+    stated = yaml.safe_load(shown)["unit_under_test"]["supply"]
+    as_text = json.loads(json.dumps(stated), parse_int=str, parse_float=str)
+    assert UnitSupplySection.model_validate({**as_text, "when_unsafe": "off"}).least_off == 10.0

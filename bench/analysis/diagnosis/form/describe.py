@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.form.dark import Dark
 from bench.analysis.diagnosis.form.dictionary import Dictionary, make_dictionary
 from bench.analysis.diagnosis.form.scatter import Scatter, larger_scatter
 from bench.analysis.diagnosis.form.search import (
@@ -24,6 +25,7 @@ from bench.analysis.diagnosis.form.search import (
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Found
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior, noise_size, posterior, whiten_rows
+from bench.analysis.diagnosis.repeats import Repeats
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import AppliedEffect
 from bench.model.effects import FormulaEffect
@@ -97,14 +99,16 @@ class FreeForm:
     """What describes that which has no name.
 
     `folds` hold readings out and search without them; `dark` is what the readings scatter beyond their repeats
-    with the terms, unit of the signal: it has no form, and is an uncertainty. `scatter` says where it is larger.
+    with the terms: it has no form, and is an uncertainty. `scatter` says where it is larger.
+    `instead_of` are the named effects in whose place the terms stand: one or the other is there.
     """
 
     terms: tuple[FormTerm, ...]
     folds: tuple[FormFold, ...]
-    dark: float
+    dark: Dark
     scatter: Scatter | None
     unit: str
+    instead_of: tuple[str, ...] = ()
 
     @property
     def counted(self) -> tuple[FormFold, ...]:
@@ -133,8 +137,8 @@ class FreeForm:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The terms with their values, to be added to the model: none where they do not predict."""
-        return tuple(term.applied for term in self.terms) if self.predicts else ()
+        """The terms with their values, for the model: none where names stand there or they do not predict."""
+        return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
 
     def _reduced(self, chi2: Sequence[float]) -> float:
         return sum(chi2) / max(sum(fold.count for fold in self.counted), 1)
@@ -145,6 +149,7 @@ class FreeForm:
         rms = [_rms([getattr(fold, when)[0] for fold in self.counted]) for when in ("before", "after")]
         return {
             "terms": [term.to_dict() for term in self.terms],
+            "instead_of": list(self.instead_of),
             "gap": {
                 "before": self.before if self.counted else None,
                 "after": self.after if self.counted else None,
@@ -163,7 +168,8 @@ class FreeForm:
                     for f in self.folds
                 ],
             },
-            "dark_uncertainty": self.dark,
+            "dark_uncertainty": self.dark.value if self.dark.there else 0.0,
+            "dark": self.dark.to_dict(),
             "scatter": None
             if told is None
             else {
@@ -181,7 +187,7 @@ def _rms(errors: Sequence[Floats]) -> float | None:
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else None
 
 
-def describe(linear: LinearSystem, given: Floats, repeats_sigma: float, setting: Setting) -> FreeForm:
+def describe(linear: LinearSystem, given: Floats, repeats: Repeats, setting: Setting) -> FreeForm:
     """Describe what has no name beside what has one: the columns `given` (N, m), one prior size each."""
     dictionary = make_dictionary(linear, given)
     count = given.shape[1]
@@ -200,7 +206,7 @@ def describe(linear: LinearSystem, given: Floats, repeats_sigma: float, setting:
             if found
             else ()
         ),
-        dark=0.0,
+        dark=Dark.of(noise, repeats),
         scatter=None,
         unit=linear.readings.unit,
     )
@@ -209,7 +215,7 @@ def describe(linear: LinearSystem, given: Floats, repeats_sigma: float, setting:
     noise = noise_size(whitened, data, believed)
     return replace(
         form,
-        dark=float(np.sqrt(max(noise.reading**2 - repeats_sigma**2, 0.0))),
+        dark=Dark.of(noise, repeats),
         scatter=larger_scatter(linear, _left(linear, dictionary.candidates.columns[:, believed], noise)),
     )
 

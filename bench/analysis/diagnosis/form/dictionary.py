@@ -164,9 +164,8 @@ def make_dictionary(linear: LinearSystem, given: Floats) -> Dictionary:
 def _columns(linear: LinearSystem, effect: FormulaEffect, size: str) -> Floats:
     """Return what a plausible size adds to the rows: (N, 3) by channel, or (N, 1)."""
     parameter = next(p for p in effect.parameters if p.name == size)
-    if not parameter.per_channel:
-        return linear.effect_column(AppliedEffect(effect, {size: np.asarray(parameter.plausible)}))[:, None]
-    return linear.effect_columns(AppliedEffect(effect, {size: np.full(3, parameter.plausible)}))
+    value = np.full(3 if parameter.per_channel else (), parameter.plausible)
+    return linear.formula_columns(AppliedEffect(effect, {size: value}))
 
 
 # --- terms ------------------------------------------------------------------------------------------

@@ -172,10 +172,9 @@ def _could_show(whitened: Whitened, form: Form, noise: NoiseSize, limit: Thresho
     half = np.sqrt(2.0 * max(limit.value + np.log(len(whitened.candidates.families)), 1.0))
     for i, (one, size) in enumerate(zip(form.found, form.sizes, strict=True)):
         mine = list(one.variant.columns)
-        gram = Search.beside(whitened, _known(form.given, form.found, but=i)).cross(
-            len(whitened.gram) // 2, mine
-        )
-        seen = float(size @ gram[:, mine] @ size) * (whitened.grid.sigma / noise.reading) ** 2
+        beside = Search.beside(whitened, _known(form.given, form.found, but=i))
+        gram = beside.between(whitened.ratios // 2, mine)
+        seen = float(size @ gram @ size) * (whitened.grid.sigma / noise.reading) ** 2
         if np.sqrt(max(seen, 0.0)) < half + SURE:
             return False
     return True
