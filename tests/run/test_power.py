@@ -1,6 +1,7 @@
 """The block's supply in a run: switched, watched, recorded, left as is safe, found again when a run goes on."""
 
 import contextlib
+import math
 from dataclasses import replace
 
 import pytest
@@ -15,7 +16,7 @@ from bench.run.states import RunState, Wish
 from drivers.interfaces import Answer, BenchError, OutputSettings
 from sim.world.clock import VirtualClock
 from tests.support.fed_runs import Supply, fed_runner, found_on
-from tests.support.runner_bench import NOON, PLAN, READS, STOP, Bench, new_record, recorded
+from tests.support.runner_bench import NOON, PLAN, READS, STOP, Bench, Meter, new_record, recorded
 
 ON = [("P25V", True), ("N25V", True)]
 OFF = [("N25V", False), ("P25V", False)]
@@ -244,6 +245,52 @@ def test_a_rail_that_is_refused_leaves_none_on(run):
     supply.at = {2: sag("N25V", -20.0)}
     _, _, stopped = run(supply, feed={"when_unsafe": "stay-on"})
     assert "rail n15 has -20 V" in str(stopped)
+    assert not supply.is_on
+
+
+# --- warm-up -----
+
+
+SETTLED = {"drift": "0.1 mV", "per": "10 min", "timeout": "1 h", "interval": "30 s"}
+
+
+class Drifting(Bench):
+    """Its signals come to rest with a time constant, s; infinite: they never do."""
+
+    def __init__(self, clock, tau_s):
+        super().__init__()
+        self.clock, self.tau_s = clock, tau_s
+
+    def volts(self):
+        now_s = self.clock.now_s()
+        return 1.0 + (math.exp(-now_s / self.tau_s) if math.isfinite(self.tau_s) else 1e-6 * now_s)
+
+
+@pytest.fixture
+def drifting(monkeypatch):
+    """Let the meters of a bench show what it drifts to."""
+    monkeypatch.setattr(Meter, "fetch", lambda meter: {meter.channel: (meter.bench.volts(),)})
+
+
+def test_a_warm_up_lasts_until_the_signals_have_settled(run, drifting):
+    supply = Supply(VirtualClock())
+    told = []
+    history, _, stopped = run(
+        supply, bench=Drifting(supply.clock, 200.0), feed={"warm_up": SETTLED}, on_settling=told.append
+    )
+    assert stopped is None
+    (warm,) = [event.data for event in history.events if event.type == "warmed_up"]
+    # exp(-t/200 s) falls from 0.1 mV on: 1842 s after the beginning, and the window of 600 s has to fill
+    assert 1842.0 - 15.0 <= warm["after_s"] + 12.0 - 600.0 <= 1842.0 + 60.0
+    assert len(warm["at"]) == 3
+    assert any(state.left_s for state in told)
+
+
+def test_signals_that_never_settle_end_the_run_at_the_timeout_and_switch_the_block_off(run, drifting):
+    supply = Supply(VirtualClock())
+    _, readings, stopped = run(supply, bench=Drifting(supply.clock, math.inf), feed={"warm_up": SETTLED})
+    assert "not warm 1 h after it was switched on" in str(stopped)
+    assert readings == []
     assert not supply.is_on
 
 
