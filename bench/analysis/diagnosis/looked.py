@@ -117,8 +117,8 @@ def _noise_looked_at(task: _Task, looked: Looked, naming: Naming) -> tuple[Looke
     if weighed is not None:
         # the noise is smaller for it, and the limits of the stand are larger beside it
         less = replace(looked.linear, response=looked.linear.response + weighed.pull)
-        less = _prepared(task, less, looked.limit, noise.reading)
-        looked, naming = _straight(task, replace(less, bend=looked.bend, weighed=weighed))
+        again = _prepared(task, less, looked.limit, noise.reading)
+        looked, naming = _straight(task, replace(again, bend=looked.bend, weighed=weighed))
     sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming)
     if np.max(np.abs(np.log(sizes / looked.linear.by_channel))) < SAME_SIZE:
         return looked, naming

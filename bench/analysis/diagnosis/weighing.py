@@ -70,7 +70,7 @@ def weigh_down(
 def _in_few(candidates: Candidates, found: Found) -> bool:
     """Whether what was found shows in fewer rows than tell of tails."""
     rows = np.any(candidates.columns[:, list(found.variant.columns)] != 0.0, axis=1)
-    return np.count_nonzero(rows) < LEAST_VALUES
+    return bool(np.count_nonzero(rows) < LEAST_VALUES)
 
 
 def _weighed(
