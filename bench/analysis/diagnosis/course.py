@@ -39,6 +39,7 @@ from bench.analysis.diagnosis.posterior import Posterior, fit_found, noise_size
 from bench.analysis.diagnosis.registration import register
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect, Verdict
 from bench.analysis.diagnosis.rounding import digit_of
+from bench.analysis.diagnosis.same_signature import same_signature
 from bench.analysis.diagnosis.shapes import beside, channels_of, with_other_shapes
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden, smallest
@@ -145,6 +146,7 @@ def diagnose(
             *(kind.words for kind in described),
             *assumed(linear),
             *common_volts(naming, sized, linear),
+            *same_signature(naming),
         ),
     )
 

@@ -21,7 +21,7 @@ from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.naming import MOST_EFFECTS, Naming, name
-from bench.analysis.diagnosis.noise_grid import NoiseGrid, make_noise_grid
+from bench.analysis.diagnosis.noise_grid import RATIOS, NoiseGrid, make_noise_grid
 from bench.analysis.diagnosis.posterior import fit_found, noise_size
 from bench.analysis.diagnosis.repeats import Repeats, noise_of_repeats
 from bench.analysis.diagnosis.rounding import is_rounded, with_rounding
@@ -35,6 +35,12 @@ BENT: Final = 0.3
 """What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
 STEPS: Final = 6
 """Steps after which what is not linear yet stays as it is: it is left over, and told."""
+CLEAR: Final = 6.0
+"""What is so far above the threshold is there whatever the ratio of the noises."""
+FINER: Final = (0.6, 0.77, 1.0, 1.3, 1.67)
+"""Ratios about that of the noises as they were found: parts of it."""
+TOO_LARGE: Final = 0.7
+"""Repeats that say more than the noise over this have what was found in them, as a reading that stands apart is."""
 SAME_SIZE: Final = 0.1
 """Sizes of the channels' noise within such a part of each other are the same."""
 
@@ -94,21 +100,49 @@ def look(
     Raises `CalibrationError` where there is too little to fit.
     """
     task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
-    looked, naming = _straight(task, _prepared(task, task.linear(readings)))
+    looked, naming = _noise_looked_at(task, *_straight(task, _prepared(task, task.linear(readings))))
+    return looked, _closer(task, looked, naming)
+
+
+def _noise_looked_at(task: _Task, looked: Looked, naming: Naming) -> tuple[Looked, Naming]:
+    """Look for all again where what is left has heavy tails, and where its channels differ."""
     if looked.whitened.grid.known:
         return looked, naming
     noise = noise_size(looked.whitened, looked.data, naming.columns)
+    if noise.reading < TOO_LARGE * looked.repeats.sigma:
+        again = _prepared(task, looked.linear, looked.limit, noise.reading)
+        looked, naming = _straight(task, replace(again, bend=looked.bend))
+        noise = noise_size(looked.whitened, looked.data, naming.columns)
     weighed = weigh_down(looked.linear, looked.candidates, naming, noise)
     if weighed is not None:
+        # the noise is smaller for it, and the limits of the stand are larger beside it
         less = replace(looked.linear, response=looked.linear.response + weighed.pull)
-        data = looked.whitened.reduce(less.response[:, None])
-        looked = replace(looked, linear=less, data=data, weighed=weighed)
-        looked, naming = _straight(task, looked)
+        again = _prepared(task, less, looked.limit, noise.reading)
+        looked, naming = _straight(task, replace(again, bend=looked.bend, weighed=weighed))
     sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming)
     if np.max(np.abs(np.log(sizes / looked.linear.by_channel))) < SAME_SIZE:
         return looked, naming
-    again = _prepared(task, replace(looked.linear, by_channel=sizes))
+    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    again = _prepared(task, replace(looked.linear, by_channel=sizes), most=noise.reading)
     return _straight(task, replace(again, bend=looked.bend, weighed=looked.weighed))
+
+
+def _closer(task: _Task, looked: Looked, naming: Naming) -> Naming:
+    """Find again what hardly reached the threshold, with the ratio of the noises on a finer grid about its own.
+
+    Between two ratios of the grid of the search a setting error is up to 1.4 times as large as it is taken for, and
+    effects that act as it does look as much more than they are.
+    """
+    if not naming.found or min(found.total for found in naming.found) > looked.limit.value + CLEAR:
+        return naming
+    linear, coarse = looked.linear, looked.whitened.grid
+    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    ratio = noise.setting_rad / noise.reading * linear.typical_slope
+    if ratio < RATIOS[1]:
+        return naming
+    grid = make_noise_grid(linear, coarse.sigma, task.setting_rad, [ratio * part for part in FINER])
+    whitened = Whitened.of(replace(grid, known=coarse.known), looked.candidates)
+    return name(whitened, whitened.reduce(linear.response[:, None]), looked.limit)
 
 
 def _straight(task: _Task, looked: Looked) -> tuple[Looked, Naming]:
@@ -126,12 +160,16 @@ def _straight(task: _Task, looked: Looked) -> tuple[Looked, Naming]:
     return looked, name(looked.whitened, looked.data, looked.limit)
 
 
-def _prepared(task: _Task, linear: LinearSystem) -> Looked:
+def _prepared(
+    task: _Task, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
+) -> Looked:
+    """Prepare readings for the search; with the `limit` of such readings and the `most` noise where known."""
     repeats = noise_of_repeats(linear, task.resolution)
+    repeats = replace(repeats, sigma=min(repeats.sigma, most))
     grid = _grid(task, linear, repeats)
     candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
     whitened = Whitened.of(grid, candidates)
-    limit = task.cache.threshold(linear, whitened, task.setting_rad)
+    limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
     return Looked(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
 
@@ -167,7 +205,9 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
     if told.kinds != candidates.kinds:
         return None
     back = told.columns[:, columns] @ sizes
-    about = replace(again, readings=readings, response=again.response + back, by_channel=linear.by_channel)
+    pull = 0.0 if looked.weighed is None else looked.weighed.pull
+    response = again.response + back + pull
+    about = replace(again, readings=readings, response=response, by_channel=linear.by_channel)
     whitened = Whitened.of(_grid(task, about, looked.repeats), told)
     data = whitened.reduce(about.response[:, None])
     return Looked(about, looked.repeats, told, whitened, data, looked.limit, moved - back, looked.weighed)

@@ -27,6 +27,9 @@ PAIR_MARGIN: Final = 5.0
 """Two names are preferred to none when ln of their evidence is so much above."""
 ABSURD: Final = 60.0
 """What would have to be so many plausible sizes large ties with nothing."""
+ANY_SIZE: Final = 1e5
+SAME: Final = 1e-6
+"""What leaves no more than this part of the square of what another effect puts into the readings does the same."""
 LESS_PLAUSIBLE: Final = 4.0
 """A candidate ties when the ln of its evidence is no further below, and speaks for it at all: above 0."""
 
@@ -35,9 +38,9 @@ LESS_PLAUSIBLE: Final = 4.0
 class Found:
     """An effect, or an unnamed family, that was found: `evidence` is ln odds against not being there.
 
-    `ties` are other effects (or unnamed families) that explain it as well, the more plausible first; `plainer_than`
-    those of the same subsystem that explain it with more parameters. `size` is the part of the readings that
-    it explains, in units of noise (rho).
+    `ties` are other effects (or unnamed families) that explain it as well, the more plausible first; `same` those
+    among them that would put the very same into these readings; `plainer_than` those of the same subsystem that
+    explain it with more parameters. `size` is the part of the readings that it explains, in units of noise (rho).
     """
 
     variant: Variant
@@ -46,6 +49,7 @@ class Found:
     size: float
     ties: tuple[str, ...] = ()
     plainer_than: tuple[str, ...] = ()
+    same: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -122,10 +126,18 @@ class Scored:
         variant = self._best_variant(family)
         return Found(variant, self.evidence[family], self.total, math.sqrt(self.explained(variant)))
 
+    def likeliest(self, family: str) -> Variant:
+        """Return the form of a family that has the most evidence."""
+        evidence = self._forms(family)
+        return self.search.whitened.candidates.variants[max(evidence, key=lambda i: evidence[i])]
+
+    def _forms(self, family: str) -> dict[int, float]:
+        of_family = self.search.whitened.candidates.of_family(family)
+        return {i: float(self.scores.variants[i, 0]) for i in of_family}
+
     def _best_variant(self, family: str) -> Variant:
-        candidates = self.search.whitened.candidates
-        variants = candidates.variants
-        evidence = {i: float(self.scores.variants[i, 0]) for i in candidates.of_family(family)}
+        variants = self.search.whitened.candidates.variants
+        evidence = self._forms(family)
         best = max(evidence, key=lambda i: evidence[i])
         rivals = [i for i in evidence if evidence[best] - evidence[i] < LESS_PLAUSIBLE]
         by_pass = family in CATALOGUE and CATALOGUE[family].per_pass
@@ -243,7 +255,9 @@ def tied(scored: Scored, one: Found) -> Found:
     amplitude, gram = scored.amplitude(one.variant)
     explained = float(amplitude @ gram @ amplitude)
     enough = max(explained - LEAK**2, LEAST_EXPLAINED * explained)
-    smallest = _explaining(scored, one.variant, amplitude, enough)
+    smallest = _explaining(scored, one.variant, enough)
+    likeliest = scored.likeliest(one.variant.family)
+    same = _explaining(scored, likeliest, (1.0 - SAME) * scored.explained(likeliest), most=ANY_SIZE)
     fewest = min(len(one.variant.columns), smallest.get(one.variant.family, len(one.variant.columns)))
     ties: list[str] = []
     plainer: list[str] = []
@@ -265,21 +279,25 @@ def tied(scored: Scored, one: Found) -> Found:
         size=math.sqrt(max(explained, 0.0)),
         ties=tuple(sorted(ties, key=lambda f: -evidence[f])),
         plainer_than=tuple(plainer),
+        same=tuple(family for family in ties if family in same and family not in UNNAMED),
     )
 
 
-def _explaining(scored: Scored, variant: Variant, amplitude: Floats, enough: float) -> dict[str, int]:
-    """Return the families that explain `enough` of a signature, with the fewest numbers that it takes them."""
+def _explaining(scored: Scored, variant: Variant, enough: float, most: float = ABSURD) -> dict[str, int]:
+    """Return the families that explain `enough` of a signature, with the fewest numbers that it takes them.
+
+    None of them may have to be more than `most` plausible sizes large.
+    """
     search, ratio = scored.search, scored.ratio
-    across = search.along(ratio, variant.columns, amplitude)
+    across = search.along(ratio, variant.columns, scored.amplitude(variant)[0])
     fewest: dict[str, int] = {}
     for group in search.groups:
         values = group.values[ratio]
         along = np.einsum("vpk,vp->vk", group.vectors[ratio], across[group.columns])
-        taken = np.sum(along**2 / (values + 1.0 / ABSURD**2), axis=1)
+        taken = np.sum(along**2 / (values + 1.0 / most**2), axis=1)
         for place in np.flatnonzero(taken > enough):
             family = search.whitened.candidates.variants[group.members[place]].family
-            rank = int(np.count_nonzero(values[place] > 1.0 / ABSURD**2))
+            rank = int(np.count_nonzero(values[place] > 1.0 / most**2))
             fewest[family] = min(rank, fewest.get(family, rank))
     return fewest
 

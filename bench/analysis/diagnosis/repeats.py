@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.linear import LinearSystem
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Ints
 
 LEAST_FREEDOM: Final = 6
 """Settings beyond the saturated description below which repeats tell too little."""
+RATIOS2: Final = np.append(0.0, np.geomspace(1e-2, 1e6, 81))
+"""Variances of what is along du/dphi, at its largest, that are tried: in variances of the noise."""
 
 
 @dataclass(frozen=True)
@@ -27,38 +29,66 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     """Return the scatter about a free value for each mounting and angle, each pass, and a slope in each mounting.
 
     A pass is free in its bias and in a wave once a turn: what slips, is set anew or exchanged between passes is
-    no noise. The part along du/dphi has the setting error in it and is left out of `sigma`. Where there are too
-    few repeats, the scatter about the model stands in. Never below rounding to `resolution`.
+    no noise. Noise and setting error, which is along du/dphi, are the likeliest for what is left (restricted
+    likelihood): what describes a setting brings errors of others to it, across its own du/dphi as well. Where there
+    are too few repeats, the scatter about the model stands in. Never below rounding to `resolution`.
     """
     oriented = linear.setting >= 0
     readings = linear.readings
     reading = linear.rows.reading[oriented][::3]
     left = linear.response[oriented].reshape(-1, 3)
     slope = linear.slope[oriented].reshape(-1, 3)
-    design = _saturated(
-        _mounts(linear),
-        np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int),
-        readings.pass_number[reading],
-        readings.angle_rad[reading],
-    )
-    u, size, _ = np.linalg.svd(design, full_matrices=False)
-    basis = u[:, size > 1e-9 * size[0]]
-    freedom = len(left) - basis.shape[1]
-    if freedom < LEAST_FREEDOM:
-        whole = np.concatenate([linear.fixed, linear.random], axis=1)[oriented]
-        rest = (left.ravel() - whole @ np.linalg.lstsq(whole, left.ravel(), rcond=None)[0]).reshape(-1, 3)
-        freedom = max(len(left) - 4, 1)
-        free = np.full(len(left), freedom / len(left))
-    else:
-        rest = left - basis @ (basis.T @ left)
-        free = 1.0 - np.sum(basis**2, axis=1)
-    unit = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
+    angle = np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int)
+    mount = np.array(_mounts(linear))
+    squares, along, freedom = [], [], 0
+    for label in dict.fromkeys(mount.tolist()):
+        own = mount == label
+        passes = readings.pass_number[reading]
+        free = _beyond(_saturated(angle[own], passes[own], readings.angle_rad[reading][own]))
+        part = _of_mount(free, left[own] / linear.by_channel, slope[own] / linear.by_channel)
+        squares.append(part[0])
+        along.append(part[1])
+        freedom += free.shape[1]
     floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(readings.signal))))
+    if freedom < LEAST_FREEDOM:
+        return Repeats(max(_about_model(linear), floor), max(len(left) - 4, 1))
+    return Repeats(max(_likeliest(np.concatenate(squares), np.concatenate(along)), floor), freedom)
+
+
+def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
+    """Return the squares (3k,) of independent parts of what is `left` (n, 3), and the setting error's part in each.
+
+    `free` (n, k) spans what no description of the settings reaches. In units of the channels' noise.
+    """
+    turned = (free[:, :, None] * slope[:, None, :]).reshape(len(slope), -1).T
+    vectors, size, _ = np.linalg.svd(turned)
+    parts = vectors.T @ (free.T @ left).ravel()
+    along = np.zeros(len(parts))
+    along[: len(size)] = size**2
+    return parts**2, along
+
+
+def _likeliest(squares: Floats, along: Floats) -> float:
+    """Return the noise of which, with a setting error, these `squares` are the likeliest."""
+    ratio = RATIOS2 / max(float(along.max()), 1e-300)
+    size = 1.0 + np.outer(ratio, along)
+    noise2 = np.mean(squares / size, axis=1)
+    misfit = len(squares) * np.log(np.maximum(noise2, 1e-300)) + np.sum(np.log(size), axis=1)
+    return float(np.sqrt(noise2[np.argmin(misfit)]))
+
+
+def _about_model(linear: LinearSystem) -> float:
+    """Return the scatter about the model across du/dphi."""
+    oriented = linear.setting >= 0
+    left = linear.response[oriented]
+    whole = np.concatenate([linear.fixed, linear.random], axis=1)[oriented]
+    rest = (left - whole @ np.linalg.lstsq(whole, left, rcond=None)[0]).reshape(-1, 3)
+    slope = linear.slope[oriented].reshape(-1, 3)
+    unit = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
     across = rest - np.sum(rest * unit, axis=1, keepdims=True) * unit
     # of unequal channels what is left across du/dphi is that of the two that turn least with it
-    share = np.sum(linear.by_channel**2 * (1.0 - unit**2) * free[:, None]) / (2 * np.sum(free))
-    sigma = max(float(np.sqrt(np.sum(across**2) / (2 * freedom) / share)), floor)
-    return Repeats(sigma, freedom)
+    share = np.mean(np.sum(linear.by_channel**2 * (1.0 - unit**2), axis=1)) / 2
+    return float(np.sqrt(np.sum(across**2) / (2 * max(len(rest) - 4, 1)) / share))
 
 
 def cells_of(linear: LinearSystem) -> NDArray[np.int64]:
@@ -75,14 +105,16 @@ def _mounts(linear: LinearSystem) -> list[str]:
     return [f"{s}/{i}" for s, i in zip(readings.series[reading], readings.installation[reading], strict=True)]
 
 
-def _saturated(
-    mount: list[str], angle: NDArray[np.int64], passes: NDArray[np.int64], angle_rad: Floats
-) -> Floats:
-    cells = list(zip(mount, angle.tolist(), strict=True))
-    turns = list(zip(mount, passes.tolist(), strict=True))
-    columns = [[c == key for c in cells] for key in dict.fromkeys(cells)]
-    of_pass = np.array([[t == key for t in turns] for key in dict.fromkeys(turns)], dtype=np.float64)
-    waves = [*(of_pass * np.cos(angle_rad)), *(of_pass * np.sin(angle_rad))]
-    rank = np.arange(len(mount), dtype=np.float64) / len(mount)
-    slopes = [np.where(np.array(mount) == key, rank, 0.0) for key in dict.fromkeys(mount)]
-    return np.column_stack([*np.array(columns, dtype=np.float64), *of_pass, *waves, *slopes])
+def _saturated(angle: Ints, passes: Ints, angle_rad: Floats) -> Floats:
+    """Return the columns that describe the settings of a mounting freely."""
+    cells = (angle[:, None] == np.unique(angle)).astype(np.float64)
+    of_pass = (passes[:, None] == np.unique(passes)).astype(np.float64)
+    waves = [of_pass * np.cos(angle_rad)[:, None], of_pass * np.sin(angle_rad)[:, None]]
+    rank = np.arange(len(angle), dtype=np.float64)[:, None] / len(angle)
+    return np.column_stack([cells, of_pass, *waves, rank])
+
+
+def _beyond(columns: Floats) -> Floats:
+    """Return an orthonormal basis (n, k) of what the columns (n, p) do not reach."""
+    u, size, _ = np.linalg.svd(columns)
+    return np.asarray(u[:, np.count_nonzero(size > 1e-9 * size[0]) :])

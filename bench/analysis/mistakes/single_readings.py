@@ -34,7 +34,7 @@ from bench.analysis.mistakes.describing import (
     finish,
     weigh,
 )
-from bench.analysis.mistakes.tails import odds_of_tails
+from bench.analysis.mistakes.tails import BEYOND_TAILS, odds_of_tails
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import Block
 from bench.readings import mistaken
@@ -61,13 +61,9 @@ STANDS_OUT: Final = 3.5
 """Least size, in standard deviations, of a mistake beside the descriptions that are freer than needed."""
 EXPLAINED: Final = 1e-4
 """A kind of mistake explains a reading if what it leaves has a p above this."""
-BEYOND_TAILS: Final = 14.0
-"""Where the noise has heavy tails an outlier is so many times the noise of a reading off: a nearer one may be
-noise, as in 6 of 1,000 runs of the paper's length with Student's t of 4 degrees of freedom."""
 TAILS_ODDS: Final = -1.0
-"""The noise may have heavy tails where ln of the odds for them is no less."""
-SEVERAL: Final = 3
-"""So many nearer outliers are tails."""
+"""Nearer outliers are tails where ln of the odds for them is more: taken for noise they are weighed down and do
+little harm, taken for mistakes they are left out and alleged."""
 OF_READING: Final = 0.5
 """A channel tells of the noise of readings where no more of its scatter is along du/dphi."""
 DIRECTIONS: Final = 4
@@ -131,16 +127,15 @@ def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
 
 def _tailed(situation: Situation, judged: Examination, near: Sequence[SingleMistake]) -> bool:
     """Whether outliers that are near are as well the tails of the noise, by the readings that are none."""
-    if len(near) >= SEVERAL:
-        return True
     rest = judged.precision.without(judged.strange)
     good = np.setdiff1d(np.arange(len(situation.left)), judged.strange).tolist()
     blocks, pulls = rest.blocks, rest.pulls
     sizes = np.stack([_ways_of(blocks[r], pulls[r], _ways(situation, judged.noise, r)) for r in good])
     along = np.stack([_along_parts(situation, judged.noise, r) for r in good])
-    nearest = min(m.sigma for m in near)
-    odds = sum(odds_of_tails(sizes[along[:, c] < OF_READING, c], nearest) for c in range(3))
-    return odds > TAILS_ODDS
+    by_channel = [sizes[along[:, c] < OF_READING, c] for c in range(3)]
+    scale = [max(float(np.sqrt(np.mean(of**2))), 1e-300) if len(of) else 1.0 for of in by_channel]
+    alike = [of / size for of, size in zip(by_channel, scale, strict=True)]
+    return odds_of_tails(np.concatenate(alike), np.array([m.sigma for m in near])) > TAILS_ODDS
 
 
 def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:
