@@ -95,6 +95,8 @@ class ErrorSource:
     def shown(self) -> str:
         """The standard uncertainty in the unit in which files state it: "1.67 arcsec"."""
         unit, size = _SHOWN.get(self.unit, (self.unit, 1.0)) if self.effect is None else self.written_in
+        if self.unit == "V" and self.effect is None and self.u >= 1e-3:
+            unit, size = "mV", 1e-3
         return f"{self.u / size:.3g} {unit}"
 
     @property
