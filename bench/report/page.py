@@ -178,6 +178,8 @@ _MEASURED: Final = {
     "procedure": "Procedure",
 }
 """What stands near the top of the page, from the provenance at its end."""
+_INSTRUMENTS = ("voltmeter", "head", "thermometer", "level", "power_supply")
+"""What measured, or fed what was measured; a chamber stands at the end of the page alone."""
 
 
 def measured(provenance: Mapping[str, str]) -> dict[str, str]:
@@ -185,8 +187,8 @@ def measured(provenance: Mapping[str, str]) -> dict[str, str]:
     stated = {title: provenance[name] for name, title in _MEASURED.items() if name in provenance}
     if "Procedure" in stated:
         stated["Procedure"] = stated["Procedure"].partition(" (plan")[0]
-    meters = [text for name, text in provenance.items() if name.startswith(("voltmeter", "head"))]
-    return {**stated, "Instruments": "; ".join(meters)} if meters else stated
+    used = [text for name, text in provenance.items() if name.startswith(_INSTRUMENTS)]
+    return {**stated, "Instruments": "; ".join(used)} if used else stated
 
 
 def _percent(p: float) -> str:
