@@ -96,6 +96,7 @@ class NamedEffect:
             "plainer_than": list(self.plainer_than),
             "parameters": nested(self.parameters),
             "together": [asdict(one) for one in self.together],
+            "shape_held": any(one.u is None for one in self.parameters),
             "p": self.p,
             "p_all_looks": self.p_all_looks,
             "rho": self.rho,
