@@ -88,7 +88,7 @@ def channels(order, signs=(1, 1, 1)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 300), (2e-5, 100)])
+@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 120), (2e-5, 60)])
 def test_good_runs_are_silent(noise_v, runs):
     """No more alarms than 1 % of runs would give but once in a thousand times."""
     alarms = sum(bool(watch(run_of([7, k], noise_v))) for k in range(runs))
