@@ -14,7 +14,7 @@ from bench.procedure.plan import Mount, Turn
 from bench.run.folder import Run
 
 BENCHES = sorted(path.stem for path in find_bench("paper-stand").parent.glob("*.yaml"))
-MOTORISED = ("bench-motorised", "bench-rate-table")
+MOTORISED = ("bench-motorised", "bench-rate-table", "bench-stand")
 
 
 def test_there_is_one_of_each_kind():

@@ -33,7 +33,7 @@ def test_an_unknown_name_is_told_with_the_nearest_and_the_list():
     )
     listed = (
         "shipped are: bench-gpib, bench-lan, bench-motorised, bench-multiplexer, bench-prologix, "
-        "bench-rate-table, bench-rs232, paper-stand"
+        "bench-rate-table, bench-rs232, bench-stand, paper-stand"
     )
     with pytest.raises(FileMistakes, match=listed):
         find_bench("nothing/like/it.yaml")
