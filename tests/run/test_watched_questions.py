@@ -131,22 +131,23 @@ def asked_run(tmp_path, terminal):
     return carry_out
 
 
-def after_the_wait(what):
-    """Let something happen at the second look after the plan's first wait, of 3600 s; then a question stands."""
-    begun = []
+class LookedInOn(Supply):
+    """Something happens to it at the second look while a question stands."""
 
-    def look(supply):
-        if supply.clock.now_s() > 6000.0:
-            begun.append(1)
-            if len(begun) == 2:
-                what(supply)
+    def __init__(self, what):
+        super().__init__(Passing())
+        self.what, self.looks_asked = what, 0
 
-    return dict.fromkeys(range(1, 2000), look)
+    def state(self, key):
+        self.looks_asked += key == "asked"
+        if self.looks_asked == 2:
+            self.what(self)
+        return super().state(key)
 
 
 @pytest.mark.parametrize("unsafe", ["off", "stay-on"])
 def test_a_rail_that_goes_while_a_question_stands_stops_the_run_and_is_told_at_once(asked_run, unsafe):
-    supply = Supply(Passing(), at=after_the_wait(lambda s: s.befall("P25V", voltage_v=12.0)))
+    supply = LookedInOn(lambda s: s.befall("P25V", voltage_v=12.0))
     history, stopped, shown = asked_run(supply, feed={"when_unsafe": unsafe})
     assert isinstance(stopped, RailFault)
     assert "rail p15 has 12 V, not 14.8 to 15.2 V" in str(stopped)
@@ -158,7 +159,7 @@ def test_a_rail_that_goes_while_a_question_stands_stops_the_run_and_is_told_at_o
 
 
 def test_ctrl_c_at_a_question_amid_a_look_goes_the_way_out(asked_run):
-    supply = Supply(Passing(), at=after_the_wait(lambda s: os.kill(os.getpid(), signal.SIGINT)))
+    supply = LookedInOn(lambda s: os.kill(os.getpid(), signal.SIGINT))
     history, stopped, _ = asked_run(supply)
     assert isinstance(stopped, KeyboardInterrupt)
     assert history.state is RunState.INTERRUPTED
