@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -42,7 +43,8 @@ class Visit(NamedTuple):
     """A pose at a time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
 
     `scan` holds the channels 0, 1, 2 in the order in which the meters were triggered; `on_s` is how long the block
-    has had power, None where that is not told, `supply_v` the voltage of each rail less its nominal one, V.
+    has had power, None where that is not told, `supply_v` the voltage of each rail less its nominal one, V. A block
+    that was off since it was mounted and read is on another visit: `series_on` more than that of its mounting.
     """
 
     pose: Pose
@@ -52,6 +54,20 @@ class Visit(NamedTuple):
     scan: tuple[int, ...] = (0, 1, 2)
     on_s: float | None = None
     supply_v: tuple[float, ...] = ()
+    series_on: int = 0
+
+
+def switched_on_since(
+    pose: Pose, visits: Sequence[Visit], switchings: Sequence[tuple[float, bool]], time_s: float
+) -> int:
+    """Return how often the block got power again, until a time, after it was read as it is mounted in a pose.
+
+    `visits` are those that were read, `switchings` when it got power (True) and lost it.
+    """
+    read_s = [visit.time_s for visit in visits if visit.pose.stand_rad is pose.stand_rad]
+    on_s = [at_s for at_s, on in switchings if on and read_s and read_s[0] < at_s <= time_s]
+    # switched twice before it is read again is one visit
+    return len({bisect_right(on_s, at_s) for at_s in (*read_s, time_s)} - {0}) if on_s else 0
 
 
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
@@ -64,7 +80,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
     conditions = Conditions.of(
         [pose.installation for pose in poses],
         [visit.pose.turn.angle_rad(visit.time_s) for visit in visits],
-        series=[pose.series for pose in poses],
+        series=[visit.pose.series + visit.series_on for visit in visits],
         direction=[pose.direction or 0 for pose in poses],
         time_s=[visit.elapsed_s for visit in visits],
         temperature_c=[visit.block_c for visit in visits],

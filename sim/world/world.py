@@ -15,7 +15,7 @@ from sim.world.chance import KeyedNumbers
 from sim.world.heat import Heat
 from sim.world.inputs import Terminals
 from sim.world.levelling import LevelSettings, platform_tilt_rad
-from sim.world.pose import Pose, Visit, readings_of
+from sim.world.pose import Pose, Visit, readings_of, switched_on_since
 from sim.world.power import Power, dead_v
 from sim.world.rails import PowerSettings
 from sim.world.turning import HeadFault, HeadTurn
@@ -232,9 +232,10 @@ class World(KeyedNumbers):
             in_turn = (index,) if index in before else (*before, index)
             self._triggered[id(pose)] = self.told_scan or in_turn
             if now_s >= pose.turn.arrives_s:
-                if self._read and self._read[-1].pose is pose:
+                visit, last = self._visit(pose, now_s), self._read[-1] if self._read else None
+                if last is not None and last.pose is pose and last.series_on == visit.series_on:
                     self._read.pop()
-                self._read.append(self._visit(pose, now_s))
+                self._read.append(visit)
             number = self.count("reading", channel)
             generator = self.random(VOLTMETER_ERROR, channel, number)
             self._voltmeter_error_v[channel] = self._draw(VOLTMETER_ERROR, generator)
@@ -377,6 +378,7 @@ class World(KeyedNumbers):
             self._scan(pose),
             None if on_since_s is None else time_s - on_since_s,
             self.power.above_nominal_v(self._past_s(time_s)),
+            switched_on_since(pose, self._read, self.power.switchings, time_s),
         )
 
     def _past_s(self, time_s: float) -> float:

@@ -11,7 +11,7 @@ from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import Installation
 from bench.procedure.load import check, load_procedure
-from bench.procedure.plan import Mount, Read, SelectInput, SetTemperature, Wait
+from bench.procedure.plan import Mount, Power, Read, SelectInput, SetTemperature, Wait
 from tests.support.procedure_texts import reads
 
 TURNED = """\
@@ -46,6 +46,9 @@ def test_every_shipped_procedure_runs_on_every_shipped_bench(tmp_path):
             if scans and bench.name == "bench-multiplexer":
                 (problem,) = check(plan, bench, dry_run=True)
                 assert "zyx, but this bench's multiplexer can do xyz alone" in problem
+            elif any(isinstance(step, Power) for step in plan.steps) and bench.unit_under_test.supply is None:
+                (problem,) = check(plan, bench, dry_run=True)
+                assert "the bench file does not say how it is supplied" in problem
             elif heats and bench.instruments.chamber is None:
                 assert all("no chamber" in problem for problem in check(plan, bench, dry_run=True))
             else:

@@ -192,7 +192,7 @@ def make_candidates(
 
 def in_volts(effect: Effect) -> bool:
     """Whether it is so many microvolts large: signals in counts or g are not voltages, and it has no size there."""
-    return any("V" in parameter.unit for parameter in effect.parameters)
+    return any(parameter.unit.partition("/")[0].endswith("V") for parameter in effect.parameters)
 
 
 def _in_model(variant: Variant, effects: Sequence[AppliedEffect]) -> bool:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from bench.files.bench.file import BenchFile
 from bench.model import CATALOGUE
-from bench.readings.rails import rails_of
 from bench.readings.table import Readings
 
 
@@ -46,7 +45,6 @@ class KnownBench:
             "channel_crosstalk": "each channel has a voltmeter of its own" if self.own_meters else "",
             "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
             "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
-            "supply_sensitivity": "" if rails_of(readings.extra) else "no voltage of a rail is recorded",
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 

@@ -34,6 +34,7 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "single_setting": "the angle of a single setting",
     "zeros_by_run": "the zeros change from run to run; the readings do not say why",
     "scale_by_run": "the scale factors change from run to run; the readings do not say why",
+    "unnamed_form": "something without a name, of another form",
     "lack_of_fit": (
         "the readings differ from the model by more than their repeats, in no pattern that was looked for"
     ),

@@ -1,4 +1,4 @@
-"""A rail that sags, seen in the signals of a block that follows it."""
+"""A rail that sags, and a block that is switched off and on, seen in the signals."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,10 @@ RAILS = (
 
 def world_with(rail: float) -> World:
     values = {"b_S": BIAS, "k_S": SCALE, "rail": np.asarray(rail)}
-    effect = AppliedEffect(CATALOGUE["supply_sensitivity"], values)
+    return fed_world(AppliedEffect(CATALOGUE["supply_sensitivity"], values))
+
+
+def fed_world(effect: AppliedEffect) -> World:
     model = ForwardModel({"1": INSTALLATION_1}, (effect,))
     world = World(WorldSettings(BLOCK, model, {}, 1, power=PowerSettings(RAILS)), VirtualClock())
     for output, set_v in (("P", 15.0), ("N", -15.0)):
@@ -42,3 +45,29 @@ def test_signals_follow_the_rail_that_sags_and_no_other(rail: float, above_v: fl
     world.clock.sleep(60.0)
     expected = np.array([-2.0 * 20e-6, -2.1 * -30e-6, -2.2 * 50e-6]) * above_v
     np.testing.assert_allclose(signals(world) - before, expected, rtol=0, atol=1e-12)
+
+
+def switched(world: World, on: bool) -> None:
+    for output in ("P", "N"):
+        world.power.change(output, world.clock.now_s(), on=on)
+    world.clock.sleep(60.0)
+
+
+def read(world: World) -> np.ndarray:
+    for channel in ("x", "y", "z"):
+        world.new_reading(channel)
+    world.clock.sleep(1.0)
+    return signals(world)
+
+
+def test_a_block_that_was_off_since_it_was_read_is_on_another_visit() -> None:
+    """A step at the visit "1/2" is there from the first reading after it was off, whatever was before."""
+    step = {"step": np.array([100e-6, 0.0, -40e-6])}
+    world = fed_world(AppliedEffect(CATALOGUE["turn_on_shift"], step, installations=("1/2",)))
+    world.clock.sleep(60.0)
+    for on in (False, True):  # before anything is read: no visit of its own
+        switched(world, on)
+    before = read(world)
+    for on in (False, True, False, True):
+        switched(world, on)
+    np.testing.assert_allclose(read(world) - before, np.diag(BLOCK.K) * step["step"], rtol=0, atol=1e-12)
