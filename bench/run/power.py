@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 from bench.files.bench.rails import RailSection, UnitSupplySection
@@ -28,6 +29,7 @@ from drivers.interfaces import (
     PromptKind,
     SetOtherwise,
     SupplyLimits,
+    WatchingPerson,
 )
 
 WATCH_S: Final = 10.0
@@ -254,6 +256,14 @@ class UnitPower:
             raise
         except _PASSING:
             self._looked_s = self.clock.now_s()
+
+    def watch_while_asked(self, *persons: Person | None) -> None:
+        """Have the rails watched while a question to one of these waits, where it can be."""
+        if self.supply.asks_person:
+            return
+        for person in persons:
+            if isinstance(person, WatchingPerson):
+                person.meanwhile = partial(self.watch, "asked")
 
     def is_as_left(self, key: str) -> bool:
         """Whether the block has been on since it was switched on, by what the supply says, or the person."""

@@ -111,9 +111,9 @@ class Runner:
             tell=self._tell,
         )
         if self.fed is not None and (supply := self.instruments.power_supply) is not None:
-            self._workbench.power = UnitPower(
-                supply, self.fed, self.person, self.clock, self._now_s, self._hear, self._tell
-            )
+            power = UnitPower(supply, self.fed, self.person, self.clock, self._now_s, self._hear, self._tell)
+            power.watch_while_asked(self.person, self.decider)
+            self._workbench.power = power
 
     def run(self, resume: ResumePoint | None = None) -> None:
         """Open the instruments, carry out the plan, leave the bench safe.
@@ -321,6 +321,7 @@ class Runner:
         while self.state is RunState.PAUSED:
             control = self._asked() if pause.by_person else self.controls.poll()
             if control is None:
+                self._workbench.watch_rails("paused")
                 self.patience.sleep(NAP_S)
                 continue
             after = self._obey(control, index)

@@ -18,6 +18,7 @@ from bench.run.control import SIGN, OperatorWish, parse_wish
 from bench.run.events import Event, EventType
 from bench.run.settling import Settling
 from bench.run.states import Wish
+from bench.run.typed_line import read_line
 from bench.run.typing_help import HELP, heard_at, typing_help
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
 
@@ -34,7 +35,8 @@ class TerminalPerson:
     """Answers prompts from a text stream: a keyboard, or a file of answers.
 
     `pause` and `go_on` are called around each question, so that a progress bar does not write over it.
-    `wishes` are those that can be heard at its questions, where they are not those of a run.
+    `wishes` are those that can be heard at its questions, where they are not those of a run. It is a
+    `drivers.interfaces.WatchingPerson`.
     """
 
     def __init__(
@@ -45,6 +47,7 @@ class TerminalPerson:
         go_on: Callable[[], None] = lambda: None,
         wishes: Collection[Wish] | None = None,
     ) -> None:
+        self.meanwhile: Callable[[], None] | None = None
         self._wishes = wishes
         self._answers = answers
         self._console = console
@@ -99,7 +102,7 @@ class TerminalPerson:
         _forget_typed_ahead(self._answers)
         self._say(f"» {prompt.text}", "bold")
         self._say(f"  [{self._hint(prompt)}] ", end="")
-        line = self._answers.readline()
+        line = read_line(self._answers, self.meanwhile)
         if line and not self._answers.isatty():
             self._console.print(Text(line.rstrip()))  # as a keyboard would have shown it
         return line
@@ -135,6 +138,7 @@ class ProgressBar:
         self._begun: tuple[int, float] | None = None
         self._status = ""
         self._printed = ""
+        self._asked = False
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -155,11 +159,13 @@ class ProgressBar:
     def pause(self) -> None:
         """Take the bar away while a question stands, and say where the run is."""
         self._progress.stop()
+        self._asked = True
         if self._status:
             self._console.print(Text(self._status, style="dim"), soft_wrap=False)
 
     def go_on(self) -> None:
         """Draw the bar again."""
+        self._asked = False
         self._progress.start()
 
     def __call__(self, event: Event) -> None:
@@ -177,6 +183,8 @@ class ProgressBar:
         elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):
             pass  # the question how to go on says it, and where nobody answers the end of the run
         elif (text := sentence(event)) != event.type:
+            if self._asked:
+                self._console.print()  # the question's line ends where the answer is to stand
             self._console.print(Text(text, style="bold yellow"), soft_wrap=False)
 
     def settling(self, state: Settling) -> None:

@@ -150,7 +150,7 @@ class Workbench:
     def execute(self, step: Step) -> Result | None:
         """Carry out a step and return what it brought. Raises `BenchError`."""
         if not isinstance(step, Power):
-            self._watch_rails(step.key)
+            self.watch_rails(step.key)
         match step:
             case Mount():
                 return self.mount(step)
@@ -219,7 +219,8 @@ class Workbench:
         after_s, at = warm_up(self.power, step.warm_up_s, self._quick_signals, self.on_settling, step.key)
         return Powered(step.switch, round(after_s, 3), at)
 
-    def _watch_rails(self, key: str) -> None:
+    def watch_rails(self, key: str) -> None:
+        """Look at the rails of the block's supply when it is time to. Raises `RailFault`."""
         if self.power is not None:
             self.power.watch(key)
 
@@ -249,7 +250,7 @@ class Workbench:
         end_s = self.clock.now_s() + step.duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
-            self._watch_rails(step.key)
+            self.watch_rails(step.key)
             self._chamber_watch.look(self.instruments.chamber, step.key)
             self.clock.sleep(min(NAP_S, left_s))
 
@@ -260,7 +261,7 @@ class Workbench:
         def nap(state: Settling) -> None:
             self.on_settling(state)
             self.between_naps()
-            self._watch_rails(step.key)
+            self.watch_rails(step.key)
 
         if step.what == "signals":
             state = wait_until_settled(self._quick_signals, criterion, self.clock, nap)

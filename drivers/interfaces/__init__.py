@@ -47,6 +47,7 @@ from drivers.interfaces.person import (
     SwitchInputs,
     SwitchSupply,
     TurnHead,
+    WatchingPerson,
 )
 from drivers.interfaces.supply import (
     OutputLimits,
@@ -106,5 +107,6 @@ __all__ = [
     "Voltmeter",
     "VoltmeterLimits",
     "VoltmeterSettings",
+    "WatchingPerson",
     "WentAstray",
 ]

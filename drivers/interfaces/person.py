@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal, NotRequired, Protocol, TypedDict
+from typing import Literal, NotRequired, Protocol, TypedDict, runtime_checkable
 
 from drivers.interfaces.instruments import Direction
 from drivers.interfaces.level import LevelAxis
@@ -165,4 +166,19 @@ class Person(Protocol):
 
         Raises `NoAnswer` when there is nobody (left) to answer.
         """
+        ...
+
+
+@runtime_checkable
+class WatchingPerson(Protocol):
+    """A `Person` with whom something can be watched while a question waits.
+
+    Where `meanwhile` is set it is called again and again until the answer is there, at least every 10 s of bench
+    time, in the thread that asks; what it raises is raised by `ask`.
+    """
+
+    meanwhile: Callable[[], None] | None
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Put the prompt and wait for the answer, as a `Person`."""
         ...

@@ -11,12 +11,16 @@ from sim.world.chance import keyed_generator
 from sim.world.panel import work_supply
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
 
     from drivers.interfaces import Direction
     from sim.world.world import World
 
 
+LOOK_S: Final = 10.0
+"""So often `meanwhile` is called while the person is at a task."""
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
 
 
@@ -51,13 +55,14 @@ class ScriptedOperator:
 
     What is random is keyed by the step in the prompt's id (the part before "#") and the world's seed, so
     that a step repeated in another process goes the same way. A question put again ("…#2") is answered
-    with care: without a slip, and without turning the head again.
+    with care: without a slip, and without turning the head again. It is a `drivers.interfaces.WatchingPerson`.
     """
 
     def __init__(self, world: World, settings: OperatorSettings | None = None) -> None:
         self._world = world
         self._settings = settings or OperatorSettings()
         self._turned_for: str | None = None
+        self.meanwhile: Callable[[], None] | None = None
 
     def ask(self, prompt: Prompt) -> Answer:
         """Do what the prompt's action asks, let the time it takes pass, and answer.
@@ -128,7 +133,14 @@ class ScriptedOperator:
         return keyed_generator(self._world.settings.seed, "operator", purpose, step)
 
     def _pass_time(self, duration_s: float) -> None:
-        self._world.clock.sleep(duration_s)
+        clock = self._world.clock
+        if self.meanwhile is None:
+            clock.sleep(duration_s)
+            return
+        end_s = clock.now_s() + duration_s
+        while (left_s := end_s - clock.now_s()) > 0.0:
+            clock.sleep(min(LOOK_S, left_s))
+            self.meanwhile()
 
 
 def scale_text(angle_arcsec: float) -> str:

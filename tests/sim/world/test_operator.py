@@ -1,6 +1,7 @@
 """The scripted operator: what is done to the world, what is answered, how long it takes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from drivers.interfaces import NoAnswer, Prompt, PromptKind
 from drivers.manual.head import ManualHead
 from sim.world.clock import VirtualClock
-from sim.world.operator import OperatorSettings, ScriptedOperator, scale_text
+from sim.world.operator import LOOK_S, OperatorSettings, ScriptedOperator, scale_text
 from sim.world.world import World, WorldSettings
 
 NEVER_SLIPS = OperatorSettings(slip_probability=0.0)
@@ -51,6 +52,23 @@ def test_turns_the_head_near_the_target_and_answers_what_the_scale_shows() -> No
     # Normal with sigma 2″ rounded to 1″: sqrt(4 + 1/12) = 2.02″; 300 draws know it to 4.1 %, bound 4 sigma.
     assert np.std(deviations) == pytest.approx(2.02, rel=0.17)
     assert abs(np.mean(deviations)) < 4 * 2.02 / math.sqrt(300)
+
+
+@pytest.mark.parametrize("task_s", [4.0, 10.0, 1200.0, 1203.5])
+def test_something_may_be_watched_while_the_person_is_at_a_task_and_it_takes_no_longer(task_s: float) -> None:
+    world = a_world()
+    operator = ScriptedOperator(world, replace(EXACT, mount_time_s=task_s))
+    looks = []
+
+    def look() -> None:
+        world.clock.sleep(0.25)  # to look takes time as well
+        looks.append(world.clock.now_s())
+
+    operator.meanwhile = look
+    action = {"do": "mount", "installation": "2"}
+    operator.ask(Prompt("m#1", PromptKind.CONFIRM, "Mount", action=action))
+    assert world.clock.now_s() == pytest.approx(task_s, abs=0.25)
+    assert max(np.diff([0.0, *looks])) <= LOOK_S + 0.25
 
 
 @pytest.mark.parametrize(
