@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Final
 
 from drivers.interfaces import BadReading, Identity, InstrumentRefused, LimitExceeded, Prompt, PromptKind
+from drivers.manual.temperature import ATTEMPTS, ask_temperature
 
 if TYPE_CHECKING:
     from drivers.interfaces import Person
 
-_NUMBER: Final = re.compile(r"([+-]?\d{1,4}(?:[.,]\d+)?)\s*°?\s*[cC]?")
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
 _NO: Final = frozenset({"n", "no"})
 _MAX_WAITS: Final = 1000
 """So often may "no" be answered, which waits: more is nobody who reads the question."""
 _PLAUSIBLE_K: Final = 20.0
 """A thermometer may stand this far outside the chamber's range (a room, a chamber not yet switched on)."""
-_MAX_ATTEMPTS: Final = 5
 
 
 class ManualChamber:
@@ -67,7 +65,7 @@ class ManualChamber:
                 "change the temperature in the procedure or the limits in the bench file",
             )
         self._set = True
-        left = _MAX_ATTEMPTS
+        left = ATTEMPTS
         for attempt in range(1, _MAX_WAITS + 1):
             text = self._ask(
                 Prompt(
@@ -94,31 +92,19 @@ class ManualChamber:
 
         Raises `BadReading` when no plausible one comes, `NoAnswer` when there is nobody to ask.
         """
-        low_c, high_c = self._minimum_c - _PLAUSIBLE_K, self._maximum_c + _PLAUSIBLE_K
-        trouble = ""
-        for attempt in range(1, _MAX_ATTEMPTS + 1):
-            text = self._ask(
-                Prompt(
-                    id=f"{key}#{attempt}",
-                    kind=PromptKind.NUMBER,
-                    text=f"{trouble} Read the thermometer and type the temperature in °C.".lstrip(),
-                    unit="°C",
-                    minimum=low_c,
-                    maximum=high_c,
-                    action={"do": "read_temperature"},
-                )
-            )
-            match = _NUMBER.fullmatch(text) if text is not None else None
-            if match is None:
-                trouble = "That was not a temperature such as 23.5."
-                continue
-            temperature_c = float(match[1].replace(",", "."))
-            if low_c <= temperature_c <= high_c:
-                return temperature_c
-            trouble = f"{temperature_c:g} °C is not plausible ({low_c:g} to {high_c:g} °C)."
+        found_c = ask_temperature(
+            self._person,
+            key,
+            "Read the thermometer",
+            self._minimum_c - _PLAUSIBLE_K,
+            self._maximum_c + _PLAUSIBLE_K,
+            "is not plausible ({low:g} to {high:g} °C)",
+        )
+        if found_c is not None:
+            return found_c
         raise BadReading(
             self.name,
-            f"no plausible temperature in {_MAX_ATTEMPTS} attempts",
+            f"no plausible temperature in {ATTEMPTS} attempts",
             "check the thermometer and the chamber's limits in the bench file, then take this step again",
         )
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from drivers.interfaces import BadReading, Identity, Prompt, PromptKind
+from drivers.interfaces import BadReading, Identity
+from drivers.manual.temperature import ATTEMPTS, ask_temperature
 
 if TYPE_CHECKING:
     from drivers.interfaces import Person
-
-_NUMBER: Final = re.compile(r"([+-]?\d{1,4}(?:[.,]\d+)?)\s*°?\s*c?")
-_MAX_ATTEMPTS: Final = 5
 
 
 class ManualThermometer:
@@ -38,29 +35,18 @@ class ManualThermometer:
 
         Raises `BadReading` when nothing within its range comes, `NoAnswer` when there is nobody to ask.
         """
-        low_c, high_c = self._minimum_c, self._maximum_c
-        trouble = ""
-        for attempt in range(1, _MAX_ATTEMPTS + 1):
-            prompt = Prompt(
-                id=f"{key}/thermometer#{attempt}",
-                kind=PromptKind.NUMBER,
-                text=f"{trouble} Read the thermometer at the block and type the temperature in °C.".lstrip(),
-                unit="°C",
-                minimum=low_c,
-                maximum=high_c,
-                action={"do": "read_temperature"},
-            )
-            answer = self._person.ask(prompt)
-            match = _NUMBER.fullmatch(answer.text.strip().replace("−", "-").lower())
-            if answer.prompt_id != prompt.id or match is None:
-                trouble = "That was not a temperature such as 23.5."
-                continue
-            temperature_c = float(match[1].replace(",", "."))
-            if low_c <= temperature_c <= high_c:
-                return temperature_c
-            trouble = f"{temperature_c:g} °C is outside the thermometer's {low_c:g} to {high_c:g} °C."
+        found_c = ask_temperature(
+            self._person,
+            f"{key}/thermometer",
+            "Read the thermometer at the block",
+            self._minimum_c,
+            self._maximum_c,
+            "is outside the thermometer's {low:g} to {high:g} °C",
+        )
+        if found_c is not None:
+            return found_c
         raise BadReading(
             self.name,
-            f"no temperature within its range in {_MAX_ATTEMPTS} attempts",
+            f"no temperature within its range in {ATTEMPTS} attempts",
             "check the thermometer and its range in the bench file, then take this step again",
         )
