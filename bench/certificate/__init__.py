@@ -1,0 +1,1 @@
+"""Certificates of calibrations: on paper and for machines, numbered, signed, registered."""
