@@ -20,7 +20,7 @@ ROUTES = [
     Route("/sign-in", sign_in.sign_in, methods=["GET"]),
     Route("/sign-in", sign_in.signed_in, methods=["POST"]),
     Route("/sign-out", sign_in.sign_out, methods=["POST"]),
-    Route("/static/{hash}/{name}", assets.asset),
+    Route("/static/{hash}/{name}", assets.send_asset),
     Route("/runs/{name}/", live.run),
 ]
 

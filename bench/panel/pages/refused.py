@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from bench.base.visible import visible
 from bench.panel.access.people import Refusal
-from bench.panel.templates import page
+from bench.panel.pages.shown import page
 
 
 def wants_json(request: Request) -> bool:
@@ -27,7 +27,7 @@ def refused(request: Request, refusal: Refusal) -> Response:
     if refusal.status == HTTPStatus.UNAUTHORIZED and request.method == "GET":
         return RedirectResponse(f"/sign-in?next={quote(request.url.path)}", status_code=303)
     title = HTTPStatus(refusal.status).phrase
-    return page(request, "refused.html", status=refusal.status, title=title, text=refusal.text)
+    return page(request, "refused.html.j2", status=refusal.status, title=title, text=refusal.text)
 
 
 def by_framework(request: Request, error: Exception) -> Response:

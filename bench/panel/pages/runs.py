@@ -7,11 +7,11 @@ from starlette.responses import Response
 
 from bench.api.records import run_summary
 from bench.panel.access.acting import looking, panel_of
-from bench.panel.templates import page
+from bench.panel.pages.shown import page
 
 
 def runs(request: Request) -> Response:
     """Show the runs, newest first."""
     looking(request)
     found = sorted(panel_of(request).runs.runs(), key=lambda run: run.created, reverse=True)
-    return page(request, "runs.html", rows=[run_summary(run) for run in found])
+    return page(request, "runs.html.j2", rows=[run_summary(run) for run in found])

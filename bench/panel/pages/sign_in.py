@@ -12,7 +12,7 @@ from starlette.responses import RedirectResponse, Response
 from bench.panel.access.acting import acting, fields, panel_of
 from bench.panel.access.people import Refusal, Role
 from bench.panel.access.store import LONGEST_SESSION
-from bench.panel.templates import page
+from bench.panel.pages.shown import page
 
 _HERE: Final = re.compile(r"/(?:[^/\\\s][^\\\s]*)?")
 
@@ -62,7 +62,7 @@ async def sign_out(request: Request) -> Response:
 
 
 def _form(request: Request, after: str, *, link: str = "", wrong: str = "", status: int = 200) -> Response:
-    return page(request, "sign_in.html", status=status, next=_here(after), link=link[:200], wrong=wrong)
+    return page(request, "sign_in.html.j2", status=status, next=_here(after), link=link[:200], wrong=wrong)
 
 
 def _here(path: str) -> str:
