@@ -20,6 +20,7 @@ COMMANDS: Final = {
     " touch no instrument.",
     "instruments": "Open every instrument of a bench at once:"
     " identity, self-test, a reading, and all that is wrong.",
+    "panel": "Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in.",
     "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
     " or command a bench that is served.",
     "runs": "List the runs, what became of them, and how to go on.",
