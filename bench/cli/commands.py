@@ -20,12 +20,14 @@ COMMANDS: Final = {
     " touch no instrument.",
     "instruments": "Open every instrument of a bench at once:"
     " identity, self-test, a reading, and all that is wrong.",
+    "panel": "Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in.",
     "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
     " or command a bench that is served.",
     "runs": "List the runs, what became of them, and how to go on.",
     "show": "Show what a run holds: inputs, events, readings.",
     "seal": "Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time.",
-    "key": "Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs.",
+    "key": "Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs;"
+    " or one that signs certificates.",
     "export": "Write the readings of a run as a readings file.",
     "import": "Make a run of a readings file that was measured elsewhere.",
     "calibrate": "Coefficients with uncertainty from runs or readings files.",

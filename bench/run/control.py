@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,21 +18,56 @@ SIGN: Final = ":"
 
 
 @dataclass(frozen=True)
+class Who:
+    """Who wished or answered something, in which role ("operator", "supervisor"), and where.
+
+    `where` is "terminal", "panel", or "command" for `bench control`. Old records do not say: then all are empty.
+    """
+
+    by: str = ""
+    role: str = ""
+    where: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Return it as it stands in an event or a line left in a run's folder; nothing where it is not known."""
+        told = {"by": self.by, "role": self.role, "where": self.where}
+        return told if any(told.values()) else {}
+
+    @classmethod
+    def from_json(cls, line: Mapping[str, Any]) -> Who:
+        """Return who an event, or a line left in a run's folder, says it was."""
+        return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
+
+
+NOBODY_KNOWN: Final = Who()
+
+
+def at_the_shell(where: str) -> Who:
+    """Return who this program runs for: whoever has a shell in the runs' folder counts as a supervisor."""
+    try:
+        name = getpass.getuser()
+    except (OSError, KeyError, ImportError):  # no such user, or no such list of them
+        name = ""
+    return Who(name, "supervisor", where)
+
+
+@dataclass(frozen=True)
 class RunControl:
-    """A wish, the reason given for it, and whether the person at the prompt has it (or another program)."""
+    """A wish, the reason given for it, whether the person at the prompt has it (or another program), and who."""
 
     wish: Wish
     reason: str = ""
     by_person: bool = False
+    who: Who = NOBODY_KNOWN
 
     def to_json(self) -> dict[str, str]:
         """Return it as it is left in a run's folder."""
-        return {"wish": self.wish.value, "reason": self.reason}
+        return {"wish": self.wish.value, "reason": self.reason, **self.who.to_json()}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> RunControl:
         """Return another program's wish. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
-        return cls(Wish(line["wish"]), str(line.get("reason", "")))
+        return cls(Wish(line["wish"]), str(line.get("reason", "")), who=Who.from_json(line))
 
 
 class OperatorWish(Exception):

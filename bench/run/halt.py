@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature
+from bench.run.answers import REASON, problem_with_answer
 from bench.run.control import OperatorWish, RunControl
 from bench.run.events import Event
 from bench.run.prompts import MOST_ATTEMPTS
@@ -38,7 +39,7 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
         kind=PromptKind.CHOOSE,
         text=f"Stopped. {doubt.data['sentence']}. {why}Put it right, then say how to go on: {first}, "
         "mount the block again and take the pass again, or go on with the readings as they are and say why",
-        choices=(*answers, f"{GO_ON} REASON"),
+        choices=(*answers, f"{GO_ON} {REASON}"),
         action={"do": "ask"},
     )
 
@@ -63,11 +64,10 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
                 f"look at the bench, then resume and answer {answers}",
             ) from nobody
         given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""
-        if given.lower() in ANSWERS:
-            raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
-        reason = given[len(GO_ON) :].strip() if given.lower().startswith(f"{GO_ON} ") else ""
-        if reason and reason != "REASON":
-            return reason
+        if given and not problem_with_answer(prompt, given):
+            if given.lower() in ANSWERS:
+                raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
+            return given[len(GO_ON) :].strip()
         trouble = f"Answer one of {answers}, not {given!r}. "
     raise BenchError("operator", "no usable answer to how to go on", f"answer {answers}")
 
