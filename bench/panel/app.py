@@ -46,6 +46,9 @@ ROUTES = [
     Route("/runs/{name}/diagnose", verdict.diagnose, methods=["POST"]),
     Route("/runs/{name}/figures/{figure}", verdict.figure),
     Route("/runs/{name}/certificate/{file}", verdict.certificate),
+    Route("/runs/{name}/state", live.state),
+    Route("/runs/{name}/stream", live.stream),
+    Route("/runs/{name}/check-answer", live.check_answer),
 ]
 
 KNOWN = (RecordError, FileMistakes, Refused, CalibrationError, ReadingsError, BenchError, OSError)
@@ -76,5 +79,6 @@ def _reading(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         threading.Thread(target=panel.table.read_all, daemon=True).start()
         yield
+        panel.followers.close()
 
     return lifespan

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from bench.panel.access.store import Access
 from bench.panel.folder import RunsFolder
+from bench.panel.following.stream import Followers
+from bench.panel.holding import read_holding
 from bench.panel.launching.detached import Started
 from bench.panel.launching.wish import Wishes
 from bench.panel.settings import STATE, Settings
@@ -19,4 +21,5 @@ class Panel:
         self.table = RunsTable(self.runs)
         self.wishes = Wishes(settings.runs / STATE / "wishes")
         self.diagnosing: dict[str, Started] = {}
+        self.followers = Followers(lambda folder: {"control": read_holding(folder).to_json()})
         self.access = Access(settings.runs / STATE)

@@ -39,6 +39,12 @@ def in_words(event: Event, plan: Plan) -> str:
     """Return an event of a run of that plan as a line."""
     if event.type == EventType.STEP_STARTED:
         return f"begun: {plan.steps[event.step].describe()}"
+    if event.type == EventType.ASKED:
+        return f"asked: {event.data['text']}"
+    if event.type == EventType.ANSWERED:
+        return f"answered: {event.data['answer']}"
+    if event.type == EventType.ANSWER_REFUSED:
+        return f"answer not taken: {event.data['answer']!r}, {event.data['why']}"
     if event.type != EventType.STEP_DONE:
         why = event.data.get("error") or event.data.get("reason")
         return f"{event.type}: {why}" if why else sentence(event)

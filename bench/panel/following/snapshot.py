@@ -208,7 +208,7 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
         "scatter": "–" if sd is None else quantity(sd, unit),
         "drift": drifted or "–",
         "steady": steady,
-        "outlier": "" if outlier is None else f"sample {outlier.sample} lies {outlier.sigma:.1f} s out",
+        "outlier": "" if outlier is None else f"sample {outlier.sample} lies {outlier.sigma:.1f} σ out",
     }
 
 

@@ -15,10 +15,11 @@ from bench.panel.access.people import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
 from bench.panel.launching.carrying import resume_run
 from bench.panel.pages.refused import wants_json
-from bench.run.answers import LONGEST, LeftAnswer, leave_answer
+from bench.run.answers import LONGEST, LeftAnswer, leave_answer, problem_with_answer
 from bench.run.control import SIGN, RunControl, Who, leave_wish, parse_wish
 from bench.run.folder import Run
 from bench.run.record import is_being_written
+from bench.run.states import Wish
 
 STOP: Final = "stop"
 LONGEST_REASON: Final = 500
@@ -34,8 +35,11 @@ async def answer(request: Request) -> Response:
     prompt_id, text = sent.get("id", ""), sent.get("text", "")
     if len(text) > LONGEST:
         raise Refusal(413, f"an answer has at most {LONGEST} characters")
-    if not await _doing(is_being_written, run.folder):
-        raise Refusal(409, "nobody is carrying out this run")
+    asked = await panel_of(request).followers.prompt(run.folder)
+    if asked is None or asked.prompt.id != prompt_id:
+        raise Refusal(409, "this question does not stand any more: it was answered, or another is asked")
+    if problem := problem_with_answer(asked.prompt, text):
+        raise Refusal(422, problem)
     await _doing(leave_answer, run.folder, LeftAnswer(prompt_id, text, _who(person)))
     return _done(request, run, "answered")
 
@@ -54,6 +58,8 @@ async def wish(request: Request) -> Response:
     except ValueError as mistake:
         raise Refusal(400, str(mistake).replace(SIGN, "")) from mistake
     if not await _doing(is_being_written, run.folder):
+        if asked.wish is Wish.ABORT:
+            return await _given_up(request, run, person)
         raise Refusal(409, "nobody is carrying out this run")
     await _doing(leave_wish, run.folder, RunControl(asked.wish, asked.reason, who=_who(person)))
     return _done(request, run, f"{asked.wish} is asked for")
@@ -65,7 +71,7 @@ async def control(request: Request) -> Response:
     run = panel_of(request).runs.run(request.path_params["name"])
     holding = await _doing(change, run.folder, sent.get("do", ""), person, sent.get("to", ""))
     if wants_json(request):
-        return JSONResponse({"done": sent["do"], "holding": holding.to_json()})
+        return JSONResponse({"done": sent["do"], "control": holding.to_json()})
     return _done(request, run, sent["do"])
 
 
@@ -83,6 +89,10 @@ async def give_up(request: Request) -> Response:
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
+    return await _given_up(request, run, person)
+
+
+async def _given_up(request: Request, run: Run, person: Person) -> Response:
     left = await _doing(end_for_good, run, _who(person))
     return _done(request, run, "; ".join(("ended for good", *left)))
 
