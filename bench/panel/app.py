@@ -22,6 +22,9 @@ ROUTES = [
     Route("/sign-out", sign_in.sign_out, methods=["POST"]),
     Route("/static/{hash}/{name}", assets.send_asset),
     Route("/runs/{name}/", live.run),
+    Route("/runs/{name}/state", live.state),
+    Route("/runs/{name}/stream", live.stream),
+    Route("/runs/{name}/check-answer", live.check_answer),
 ]
 
 

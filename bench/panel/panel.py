@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bench.panel.access.store import Access
 from bench.panel.folder import RunsFolder
+from bench.panel.following.stream import Followers
 from bench.panel.settings import STATE, Settings
 
 
@@ -13,4 +14,5 @@ class Panel:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.runs = RunsFolder(settings.runs)
+        self.followers = Followers()
         self.access = Access(settings.runs / STATE)
