@@ -41,7 +41,8 @@ class Schemas:
         root = etree.fromstring(document, parser())
         if self.checker.validate(root):
             return ()
-        return tuple(f"line {error.line}: {error.message}" for error in self.checker.error_log)
+        log: Any = self.checker.error_log
+        return tuple(f"line {error.line}: {error.message}" for error in log)
 
 
 def read_schemas(folder: Path) -> Schemas:
