@@ -26,7 +26,8 @@ COMMANDS: Final = {
     "runs": "List the runs, what became of them, and how to go on.",
     "show": "Show what a run holds: inputs, events, readings.",
     "seal": "Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time.",
-    "key": "Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs.",
+    "key": "Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs;"
+    " or one that signs certificates.",
     "export": "Write the readings of a run as a readings file.",
     "import": "Make a run of a readings file that was measured elsewhere.",
     "calibrate": "Coefficients with uncertainty from runs or readings files.",

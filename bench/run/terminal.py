@@ -19,12 +19,10 @@ from bench.run.events import Event, EventType
 from bench.run.sentences import duration, sentence
 from bench.run.settling import Settling
 from bench.run.states import Wish
+from bench.run.time_left import TimeLeft
 from bench.run.typed_line import SLICE_S, LineReader
 from bench.run.typing_help import HELP, heard_at, typing_help
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
-
-SLOW_TO_LEARN_S: Final = 1800.0
-"""After so much bench time the pace of the run itself counts as much as the plan's expectation."""
 
 HINTS: Final = {
     PromptKind.CONFIRM: "yes/no",
@@ -149,8 +147,7 @@ class ProgressBar:
     def __init__(self, plan: Plan, console: Console, step_s: list[float]) -> None:
         self._plan = plan
         self._console = console
-        self._left_s = [*_running_sums(step_s), 0.0]
-        self._begun: tuple[int, float] | None = None
+        self._time_left = TimeLeft(step_s)
         self._status = ""
         self._printed = ""
         self._asked = False
@@ -187,7 +184,7 @@ class ProgressBar:
         """Take note of an event of the run."""
         if event.type == EventType.STEP_STARTED:
             index = event.step
-            left = duration(self._time_left_s(index, event.bench_s))
+            left = duration(self._time_left.at(index, event.bench_s))
             text = f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}"
             self._status = f"{text}; {left} left"
             self._progress.update(self._task, description=text, completed=index, left=left)
@@ -211,15 +208,6 @@ class ProgressBar:
         moving = ", ".join(f"{spread:.2g}" for spread in state.spread)
         self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
 
-    def _time_left_s(self, index: int, bench_s: float) -> float:
-        """Expected time left, corrected by how long the steps so far took against what was expected."""
-        if self._begun is None:
-            self._begun = (index, bench_s)
-        first, begun_s = self._begun
-        expected_s = self._left_s[first] - self._left_s[index]
-        pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
-        return pace * self._left_s[index]
-
     def _show_reading(self, reading: Reading | None) -> None:
         """Keep the last reading on the screen, above the bar."""
         if reading and self._console.is_terminal and not quiet.get():
@@ -238,13 +226,3 @@ class ProgressBar:
         if number and line != self._printed:
             self._console.print(f"{line}  (step {index + 1}/{len(self._plan.steps)})", highlight=False)
             self._printed = line
-
-
-def _running_sums(step_s: list[float]) -> list[float]:
-    """Time left at the beginning of each step."""
-    left: list[float] = []
-    total = 0.0
-    for seconds in reversed(step_s):
-        total += seconds
-        left.append(total)
-    return left[::-1]
