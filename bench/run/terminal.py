@@ -18,12 +18,10 @@ from bench.run.control import SIGN, OperatorWish, parse_wish
 from bench.run.events import Event, EventType
 from bench.run.settling import Settling
 from bench.run.states import Wish
+from bench.run.time_left import TimeLeft
 from bench.run.typed_line import read_line
 from bench.run.typing_help import HELP, heard_at, typing_help
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
-
-SLOW_TO_LEARN_S: Final = 1800.0
-"""After so much bench time the pace of the run itself counts as much as the plan's expectation."""
 
 HINTS: Final = {
     PromptKind.CONFIRM: "yes/no",
@@ -134,8 +132,7 @@ class ProgressBar:
     def __init__(self, plan: Plan, console: Console, step_s: list[float]) -> None:
         self._plan = plan
         self._console = console
-        self._left_s = [*_running_sums(step_s), 0.0]
-        self._begun: tuple[int, float] | None = None
+        self._time_left = TimeLeft(step_s)
         self._status = ""
         self._printed = ""
         self._asked = False
@@ -172,7 +169,7 @@ class ProgressBar:
         """Take note of an event of the run."""
         if event.type == EventType.STEP_STARTED:
             index = event.step
-            left = duration(self._time_left_s(index, event.bench_s))
+            left = duration(self._time_left.at(index, event.bench_s))
             text = f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}"
             self._status = f"{text}; {left} left"
             self._progress.update(self._task, description=text, completed=index, left=left)
@@ -195,15 +192,6 @@ class ProgressBar:
             return
         moving = ", ".join(f"{spread:.2g}" for spread in state.spread)
         self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
-
-    def _time_left_s(self, index: int, bench_s: float) -> float:
-        """Expected time left, corrected by how long the steps so far took against what was expected."""
-        if self._begun is None:
-            self._begun = (index, bench_s)
-        first, begun_s = self._begun
-        expected_s = self._left_s[first] - self._left_s[index]
-        pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
-        return pace * self._left_s[index]
 
     def _show_reading(self, reading: Reading | None) -> None:
         """Keep the last reading on the screen, above the bar."""
@@ -280,16 +268,6 @@ def _power_in_words(data: Mapping[str, Any]) -> str:
             return "the block is switched off"
         case _:
             return f"stopped: {'; '.join(map(str, data.get('wrong', ())))}"
-
-
-def _running_sums(step_s: list[float]) -> list[float]:
-    """Time left at the beginning of each step."""
-    left: list[float] = []
-    total = 0.0
-    for seconds in reversed(step_s):
-        total += seconds
-        left.append(total)
-    return left[::-1]
 
 
 def duration(seconds: float) -> str:

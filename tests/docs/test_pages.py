@@ -102,16 +102,10 @@ def run(words, bench):
     return done.returncode, done.stdout
 
 
-@pytest.fixture(scope="module")
-def caches(tmp_path_factory):
-    return tmp_path_factory.mktemp("caches")
-
-
 @pytest.fixture
-def wide(monkeypatch, caches):
-    """Lines as long as they are, and thresholds of diagnoses kept apart from the user's."""
+def wide(monkeypatch):
+    """Lines as long as they are."""
     monkeypatch.setenv("COLUMNS", "400")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
 
 
 @pytest.mark.parametrize(
