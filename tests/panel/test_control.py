@@ -38,7 +38,7 @@ def one(runs):
 def alive(one):
     """The record of the run, which somebody carries out, and who has asked something."""
     record, history = Record.reopen(one, utc_now)
-    record.append("run_resumed", history.events[-1].bench_s)
+    record.append("run_resumed", history.events[-1].bench_s, step=1, instruments={})
     record.append("asked", history.events[-1].bench_s, **asked_to_json(QUESTION))
     yield record
     record.close()

@@ -114,7 +114,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
-        raise Refusal(507, f"it cannot be written ({error.strerror}); free the disk") from error
+        raise Refusal(409, f"it cannot be written ({error.strerror}); free the disk") from error
 
 
 def _done(request: Request, run: Run, what: str) -> Response:
