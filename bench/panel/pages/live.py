@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import AsyncIterator
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from bench.base.numbers import without_infinity
-from bench.panel.access.acting import looking, panel_of
+from bench.panel.access.acting import looking, panel_of, person_of
 from bench.panel.access.people import Refusal
 from bench.panel.pages.shown import page
 from bench.run.answers import AskedPrompt, problem_with_answer, understood_answer
@@ -38,7 +39,19 @@ async def stream(request: Request) -> Response:
     """Send what is told of a run whenever it changes, as server-sent events."""
     found = run_of(request)
     events = panel_of(request).followers.stream(found.folder)
-    return StreamingResponse(events, media_type="text/event-stream", headers={"x-accel-buffering": "no"})
+    return StreamingResponse(
+        _as_long_as_signed_in(request, events),
+        media_type="text/event-stream",
+        headers={"x-accel-buffering": "no"},
+    )
+
+
+async def _as_long_as_signed_in(request: Request, events: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """Pass on what is sent until the person signs out, or the token is taken back."""
+    async for event in events:
+        if person_of(request) is None:
+            return
+        yield event
 
 
 async def check_answer(request: Request) -> Response:
