@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.api.execution import watcher_of
 from bench.files.bench.file import BenchFile
 from bench.procedure.plan import Mount, Plan, Read
 from bench.readings.reading import Reading
 from bench.run.events import Event, EventType
+from bench.run.watch.of_plan import watcher_of
 
 MOST_POINTS: Final = 200
 COVERAGE: Final = 2.0

@@ -40,8 +40,8 @@ from bench.procedure.steps import precision_in_words
 from bench.readings.reading import Reading
 from bench.run.events import Event
 from bench.run.log import in_words
+from bench.run.sentences import duration
 from bench.run.states import ENDED, RunState
-from bench.run.terminal import duration
 from bench.run.time_left import TimeLeft
 from drivers.angles import format_dms
 
