@@ -100,6 +100,7 @@ class Laboratory(Contact):
     ] = ("en",)
     texts: Mapping[Language, Mapping[str, str]] = {}
     _file: Path = PrivateAttr(default=Path())
+    _logo: Path | None = PrivateAttr(default=None)
 
     @field_validator("numbers")
     @classmethod
@@ -141,7 +142,7 @@ class Laboratory(Contact):
     @property
     def logo_file(self) -> Path | None:
         """The picture of its logo, None where it has none."""
-        return None if self.logo is None else self._file.parent / self.logo
+        return self._logo or (None if self.logo is None else self._file.parent / self.logo)
 
     def number(self, count: int, year: int, *, simulated: bool) -> str:
         """Return the number of the `count`-th certificate of a year."""
@@ -166,8 +167,9 @@ def load_laboratory(path: Path) -> Laboratory:
     return laboratory_of(load_document(path))
 
 
-def laboratory_of(document: Document) -> Laboratory:
-    """Return the laboratory of a file that was read. Raises `FileMistakes`."""
+def laboratory_of(document: Document, logo: Path | None = None) -> Laboratory:
+    """Return the laboratory of a file that was read; `logo` is a copy of its picture. Raises `FileMistakes`."""
     laboratory = validated(document, Laboratory)
     laboratory._file = document.path.absolute()
+    laboratory._logo = logo
     return laboratory

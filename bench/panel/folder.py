@@ -39,8 +39,8 @@ class RunsFolder:
         if not name or name.startswith(".") or "/" in name or "\\" in name:
             return False
         try:
-            folder = (self.path / name).lstat()
-            manifest = (self.path / name / MANIFEST).lstat()
+            folder = os.lstat(f"{self.path}/{name}")
+            manifest = os.lstat(f"{self.path}/{name}/{MANIFEST}")
         except (OSError, ValueError):
             return False
         return stat.S_ISDIR(folder.st_mode) and stat.S_ISREG(manifest.st_mode)

@@ -19,6 +19,8 @@ ASSETS: Final = {
     REPORT_STYLE: "text/css; charset=utf-8",
     "panel.css": "text/css; charset=utf-8",
     "panel.js": "text/javascript; charset=utf-8",
+    "waiting.js": "text/javascript; charset=utf-8",
+    "plots.js": "text/javascript; charset=utf-8",
     "icon.svg": "image/svg+xml",
 }
 """What pages load, with its kind. They load nothing else, from nowhere else."""

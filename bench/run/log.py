@@ -8,7 +8,7 @@ from bench.base.visible import visible
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned
-from bench.run.terminal import duration, sentence
+from bench.run.sentences import duration, said, sentence
 
 LOG = "run.log"
 
@@ -39,6 +39,10 @@ def in_words(event: Event, plan: Plan) -> str:
     """Return an event of a run of that plan as a line."""
     if event.type == EventType.STEP_STARTED:
         return f"begun: {plan.steps[event.step].describe()}"
+    if event.type == EventType.ASKED:
+        return f"asked: {event.data['text']}"
+    if event.type in (EventType.ANSWERED, EventType.ANSWER_REFUSED):
+        return said(event)
     if event.type != EventType.STEP_DONE:
         why = event.data.get("error") or event.data.get("reason")
         return f"{event.type}: {why}" if why else sentence(event)

@@ -58,6 +58,10 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
             session.system_time = now
             return session
 
+    class Writer(IncrementalPdfFileWriter):
+        def ensure_output_version(self, version: Any) -> None:
+            """Leave it at 1.7, on which PDF/A-3 stands; PAdES asks for no more than its extension (ESIC)."""
+
     told = signers.PdfSignatureMetadata(
         field_name=FIELD,
         md_algorithm="sha256",
@@ -68,7 +72,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
         docmdp_permissions=fields.MDPPerm.NO_CHANGES,
         subfilter=fields.SigSeedSubFilter.PADES,
     )
-    writer = IncrementalPdfFileWriter(io.BytesIO(body))
+    writer = Writer(io.BytesIO(body))
     if next(iter(writer.prev.embedded_signatures), None) is not None:
         raise Refused("the PDF is signed already; sign the body without a signature")
     signed = AtTime(told, ByKey(signing_cert=own, cert_registry=store)).sign_pdf(writer)

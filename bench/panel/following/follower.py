@@ -11,6 +11,7 @@ from bench.panel.following.residuals import Points, Residuals
 from bench.panel.following.seen import Seen
 from bench.panel.following.snapshot import About, snapshot
 from bench.panel.following.tail import Tail
+from bench.run.answers import AskedPrompt
 from bench.run.folder import BENCH, Run
 from bench.run.record import is_being_written
 from bench.run.time_left import TimeLeft
@@ -63,6 +64,11 @@ class Follower:
     def judge(self) -> bool:
         """Judge one reading more against its prediction; say whether there was one."""
         return self._residuals.judge_next()
+
+    @property
+    def prompt(self) -> AskedPrompt | None:
+        """The question that stands, None where none does or nobody would hear an answer."""
+        return self._seen.prompt if self._alive else None
 
     @property
     def waiting(self) -> bool:

@@ -17,6 +17,7 @@ from bench.base.forms import FileMistakes
 from bench.base.numbers import without_infinity
 from bench.panel.following.follower import Follower
 from bench.panel.following.residuals import Points
+from bench.run.answers import AskedPrompt
 from bench.run.manifest import RecordError
 
 LOOK_S: Final = 0.05
@@ -56,6 +57,11 @@ class Shared:
         self.watchers = 0
         self._ready = asyncio.Event()
         self._task = asyncio.create_task(self._follow())
+
+    @property
+    def prompt(self) -> AskedPrompt | None:
+        """The question that stands, None where none does or nobody would hear an answer."""
+        return None if self._follower is None else self._follower.prompt
 
     async def ready(self) -> None:
         """Wait until there is a first snapshot, or trouble."""
@@ -124,6 +130,14 @@ class Followers:
         shared = await self._of(folder)
         try:
             return shared.state
+        finally:
+            self._leave(folder, shared)
+
+    async def prompt(self, folder: Path) -> AskedPrompt | None:
+        """Return the question of a run that stands. Raises `RecordError` where its record cannot be read."""
+        shared = await self._of(folder)
+        try:
+            return shared.prompt
         finally:
             self._leave(folder, shared)
 

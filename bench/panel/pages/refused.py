@@ -44,4 +44,6 @@ def by_refusal(request: Request, error: Exception) -> Response:
 
 def by_record(request: Request, error: Exception) -> Response:
     """Answer for a record or a file that cannot be read or written."""
+    if isinstance(error, OSError):
+        return refused(request, Refusal(409, f"{error.filename or 'a file'}: {error.strerror or error}"))
     return refused(request, Refusal(409, str(error)))
