@@ -10,6 +10,7 @@ from bench.run.answers import REASON, problem_with_answer
 from bench.run.control import OperatorWish, RunControl
 from bench.run.events import Event
 from bench.run.prompts import MOST_ATTEMPTS
+from bench.run.resume import Progress, first_of_pass, turn_before
 from bench.run.states import Wish
 from drivers.interfaces import BenchError, NoAnswer, Person, Prompt, PromptKind
 
@@ -41,6 +42,17 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
         "mount the block again and take the pass again, or go on with the readings as they are and say why",
         choices=(*answers, f"{GO_ON} {REASON}"),
         action={"do": "ask"},
+    )
+
+
+def pause_prompt(now_s: float) -> Prompt:
+    """Return the question that a run asks which is paused, `now_s` since it began."""
+    return Prompt(
+        id=f"pause@{now_s:.3f}",
+        kind=PromptKind.CONFIRM,
+        text="Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort",
+        default="yes",
+        action={"do": "wait"},
     )
 
 
@@ -84,7 +96,26 @@ def step_in_doubt(plan: Plan, doubt: Event) -> int:
     return doubt.step + 1
 
 
-def mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
+def redo_from(plan: Plan, progress: Progress, wish: Wish, index: int) -> tuple[int, Mount | None] | None:
+    """Return the step from which a wish at step `index` has things taken again, and what is mounted before it.
+
+    None where no point was measured since the block was mounted.
+    """
+    after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
+    turn = turn_before(plan, after)
+    if turn == after:
+        return None
+    if wish is not Wish.REPEAT_POINT:
+        turn = first_of_pass(plan, turn)
+    found = _mounting_before(plan, turn) if wish is Wish.MOUNT_AGAIN else None
+    if found is None:
+        return turn, None
+    mounted, step = found
+    was_read = any(isinstance(plan.steps[i], Read) and i in progress.done for i in range(mounted, turn))
+    return (turn, step) if was_read else (mounted, None)  # with nothing read on it the mounting begins again
+
+
+def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
     """Return the step that mounted the block as it is mounted at step `index`; None where none did."""
     for i in range(index - 1, -1, -1):
         if isinstance(step := plan.steps[i], Mount):

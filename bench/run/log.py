@@ -8,7 +8,7 @@ from bench.base.visible import visible
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned
-from bench.run.terminal import duration, sentence
+from bench.run.sentences import duration, said, sentence
 
 LOG = "run.log"
 
@@ -41,10 +41,8 @@ def in_words(event: Event, plan: Plan) -> str:
         return f"begun: {plan.steps[event.step].describe()}"
     if event.type == EventType.ASKED:
         return f"asked: {event.data['text']}"
-    if event.type == EventType.ANSWERED:
-        return f"answered: {event.data['answer']}"
-    if event.type == EventType.ANSWER_REFUSED:
-        return f"answer not taken: {event.data['answer']!r}, {event.data['why']}"
+    if event.type in (EventType.ANSWERED, EventType.ANSWER_REFUSED):
+        return said(event)
     if event.type != EventType.STEP_DONE:
         why = event.data.get("error") or event.data.get("reason")
         return f"{event.type}: {why}" if why else sentence(event)

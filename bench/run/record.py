@@ -102,7 +102,12 @@ class Record:
             self._cut_back()
             self._check_place()
 
-    def append(self, kind: str, bench_s: float, **data: Any) -> Event:
+    @property
+    def count(self) -> int:
+        """How many events were written, those of earlier programs included."""
+        return self._count
+
+    def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event; it is on the disk when this returns. Raises `RecordError` (disk full, …)."""
         with self._shield():
             return self._append(kind, bench_s, data)

@@ -22,7 +22,7 @@ from bench.procedure.load import load_procedure
 from bench.readings.corrected import corrected
 from bench.readings.csv import write_csv
 from bench.run.manifest import sha256
-from bench.run.terminal import sentence
+from bench.run.sentences import sentence
 from tests.support.certified_bench import meter_certificate, table_certificate, write_bench
 from tests.support.diagnosis_bench import paper_run
 from tests.support.paper_bench import TRUTH, U0, K, simulate

@@ -21,7 +21,7 @@ from bench.panel.launching.detached import start
 from bench.panel.launching.wish import WISH, Found, Wanted, WishFolder
 from bench.panel.pages.shown import page
 from bench.panel.panel import Panel
-from bench.run.terminal import duration
+from bench.run.sentences import duration
 from drivers.clock import utc_now
 
 LONGEST: Final = 100
