@@ -48,7 +48,7 @@ def prompt_of(asked: AskedPrompt, seen: Seen, installations: Mapping[str, Instal
             target_rad, direction = float(action["target_rad"]), int(action["direction"])
             told |= {"target": format_dms(target_rad % math.tau), "direction": direction}
             at_rad = None if seen.turned is None else math.radians(seen.turned[1].angle_deg)
-            mounted = None if seen.installation is None else installations.get(seen.installation[0])
+            mounted = None if seen.mounted is None else installations.get(seen.mounted.installation)
             told["drawing"] = turn(mounted, at_rad, target_rad, direction)
         case "mount" if (installation := installations.get(str(action.get("installation")))) is not None:
             told["drawing"] = mounting(installation)

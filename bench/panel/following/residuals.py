@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 
 from bench.files.bench.file import BenchFile
-from bench.procedure.plan import Plan
+from bench.procedure.plan import Mount, Plan, Read
 from bench.readings.reading import Reading
-from bench.run.events import Event, EventType, Mounted
+from bench.run.events import Event, EventType
 from bench.run.watch.of_plan import watcher_of
 
 MOST_POINTS: Final = 200
@@ -46,6 +46,7 @@ class Residuals:
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
         self._watcher = watcher_of(plan, bench)
+        self._steps = plan.steps
         self._waiting: deque[Event] = deque()
         self._readings = 0
         self.points: list[dict[str, Any]] = []
@@ -53,17 +54,14 @@ class Residuals:
 
     def note(self, event: Event) -> None:
         """Take note of an event, to be judged later: see `judge_next`."""
-        if event.type == EventType.STEP_DONE and not isinstance(event.result, Reading | Mounted):
-            return
         if event.type not in _TOLD:
             return
-        self._waiting.append(event)
-        if event.type != EventType.STEP_DONE or not isinstance(event.result, Reading):
+        if event.type == EventType.STEP_DONE and not isinstance(self._steps[event.step], Read | Mount):
             return
-        self._readings += 1
+        self._waiting.append(event)
+        self._readings += _is_reading(event)
         while self._readings > MOST_POINTS:
-            gone = self._waiting.popleft()
-            self._readings -= gone.type == EventType.STEP_DONE and isinstance(gone.result, Reading)
+            self._readings -= _is_reading(self._waiting.popleft())
 
     @property
     def waiting(self) -> bool:
@@ -120,3 +118,7 @@ class Residuals:
 
 
 _TOLD: Final = frozenset({EventType.STEP_DONE, EventType.REMOUNTED, EventType.REDO, EventType.WENT_ON})
+
+
+def _is_reading(event: Event) -> bool:
+    return "reading" in event.data

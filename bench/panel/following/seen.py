@@ -7,10 +7,10 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final
 
-from bench.procedure.plan import Plan, Read, Settle, Wait
+from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.readings.reading import Reading
 from bench.run.answers import AskedPrompt
-from bench.run.events import CameToRest, Event, EventType, Mounted, TemperatureSet, Turned
+from bench.run.events import CameToRest, Event, EventType, Turned
 from bench.run.manifest import RecordError
 from bench.run.resume import Progress
 from bench.run.states import RunState, state_after_one
@@ -29,36 +29,32 @@ _STOPPED: Final = frozenset(
 class Seen:
     """A run as its events tell it.
 
-    `step` is the one begun and not done yet, with the event of its beginning.
-    `taken` is the reading taken last, with its event; `chamber` the air's temperature, °C, as it was known
-    last; `set_c` what the chamber was sent to; `rest` what was waited for last and how it came to rest.
+    `step` is the one begun and not done yet, with the event of its beginning, `turn` the turn begun last
+    since the block was mounted; `set_c` what the chamber was sent to, °C. What steps brought is made of
+    their events when it is asked for: of a long run that is little of it.
     """
 
     plan: Plan
     state: RunState = RunState.READY
     progress: Progress = field(default_factory=Progress)
     events: int = 0
-    first: Event | None = None
     latest: Event | None = None
     step: Event | None = None
     turn: Event | None = None
-    turned: tuple[Event, Turned] | None = None
-    taken: tuple[Event, Reading] | None = None
-    rest: tuple[Event, CameToRest] | None = None
     set_c: float | None = None
-    chamber: tuple[Event, float] | None = None
-    installation: tuple[str, int] | None = None
+    slow: Event | None = None
     refused: Event | None = None
     answered: Event | None = None
     left_safe: dict[str, str] = field(default_factory=dict)
     why: str = ""
+    readings_done: int = 0
     warnings: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_WARNINGS))
     last: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_LAST))
+    _brought: dict[type[Step], Event] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._reads = [isinstance(step, Read) for step in self.plan.steps]
-        self.readings_planned = sum(self._reads)
-        self.readings_done = 0
+        self._kinds: list[type[Step]] = [type(step) for step in self.plan.steps]
+        self.readings_planned = self._kinds.count(Read)
 
     def take(self, event: Event) -> None:
         """Take in the next event. Raises `RecordError` for one that cannot be."""
@@ -74,65 +70,48 @@ class Seen:
         before = len(self.progress.done)
         self.progress.take(event)
         self.events, self.latest = event.number, event
-        self.first = self.first or event
         self.last.append(event)
+        if event.type == EventType.STEP_STARTED:
+            self.step = event
+            if self._kinds[event.step] is Turn:
+                self.turn = event
+        elif event.type == EventType.STEP_DONE:
+            self.step = None
+            kind = self._kinds[event.step]
+            self._brought[kind] = event
+            if kind is Read:
+                self.readings_done += len(self.progress.done) > before
+            elif kind is Mount:
+                self.turn = None
+            elif kind is SetTemperature:
+                self.set_c = float(event.data["target_c"])
+        else:
+            self._take_other(event)
+
+    def _take_other(self, event: Event) -> None:
         match event.type:
-            case EventType.STEP_STARTED:
-                self._begin(event)
-            case EventType.STEP_DONE:
-                self.readings_done += self._reads[event.step] and len(self.progress.done) > before
+            case EventType.REDO:
                 self.step = None
-                self._bring(event)
-            case EventType.REDO | EventType.SKIPPED | EventType.STEP_FAILED:
+                self.readings_done = sum(self._kinds[i] is Read for i in self.progress.done)
+            case EventType.SKIPPED | EventType.STEP_FAILED:
                 self.step = None
-                if event.type == EventType.REDO:
-                    self.readings_done = sum(self._reads[i] for i in self.progress.done)
             case EventType.EARLY_SIGN:
                 self.warnings.append(event)
             case EventType.CHAMBER_SLOW:
-                self.chamber = (event, float(event.data["air_c"]))
+                self.slow = event
             case EventType.LEFT_SAFE:
                 self.left_safe = {str(name): str(what) for name, what in event.data["to_do"].items()}
             case EventType.RUN_RESUMED:
-                self.step = None
-                self.left_safe, self.why = {}, ""
-            case _ if event.type in _STOPPED:
-                self.step = None
-                self.why = str(event.data.get("error") or event.data.get("reason") or "")
+                self.step, self.left_safe, self.why = None, {}, ""
             case EventType.ASKED:
                 self.refused = None
             case EventType.ANSWERED:
                 self.answered = event
             case EventType.ANSWER_REFUSED:
                 self.refused = event
-
-    def _begin(self, event: Event) -> None:
-        step = self.plan.steps[event.step]
-        self.step = event
-        if isinstance(getattr(step, "target_rad", None), float) and not isinstance(step, Read):
-            self.turn = event
-
-    def _bring(self, event: Event) -> None:
-        step = self.plan.steps[event.step]
-        match event.result:
-            case Reading() as reading:
-                self.taken = (event, reading)
-                air_c = reading.temperature_c if reading.chamber_c is None else reading.chamber_c
-                if air_c is not None and self.set_c is not None:
-                    self.chamber = (event, air_c)
-            case Turned() as turned:
-                self.turned = (event, turned)
-            case Mounted():
-                self.turn = self.turned = None
-                self.installation = (str(getattr(step, "installation", "")), int(getattr(step, "series", 1)))
-            case TemperatureSet(target_c=target_c):
-                self.set_c = target_c
-            case CameToRest() as rest:
-                self.rest = (event, rest)
-                if isinstance(step, Settle) and step.what == "temperature":
-                    self.chamber = (event, rest.settled_at[0])
-            case _:
-                return
+            case _ if event.type in _STOPPED:
+                self.step = None
+                self.why = str(event.data.get("error") or event.data.get("reason") or "")
 
     @property
     def prompt(self) -> AskedPrompt | None:
@@ -146,3 +125,48 @@ class Seen:
             return None
         step = self.plan.steps[self.step.step]
         return (self.step, step) if isinstance(step, Wait | Settle) else None
+
+    @property
+    def taken(self) -> tuple[Event, Reading] | None:
+        """The reading taken last, with its event."""
+        event = self._brought.get(Read)
+        return (event, event.reading) if event is not None and event.reading is not None else None
+
+    @property
+    def turned(self) -> tuple[Event, Turned] | None:
+        """Where the head was turned last, as read back, since the block was mounted."""
+        event, mounted = self._brought.get(Turn), self._brought.get(Mount)
+        if event is None or (mounted is not None and mounted.number > event.number):
+            return None
+        return (event, event.result) if isinstance(event.result, Turned) else None
+
+    @property
+    def rest(self) -> tuple[Settle, CameToRest] | None:
+        """What was waited for last, and how it came to rest."""
+        event = self._brought.get(Settle)
+        if event is None or not isinstance(event.result, CameToRest):
+            return None
+        step = self.plan.steps[event.step]
+        return (step, event.result) if isinstance(step, Settle) else None
+
+    @property
+    def mounted(self) -> Mount | None:
+        """How the block is mounted."""
+        event = self._brought.get(Mount)
+        step = None if event is None else self.plan.steps[event.step]
+        return step if isinstance(step, Mount) else None
+
+    @property
+    def chamber(self) -> tuple[Event, float] | None:
+        """The temperature in the chamber as it was known last, °C, and by which event."""
+        known: list[tuple[Event, float]] = []
+        if self.slow is not None:
+            known.append((self.slow, float(self.slow.data["air_c"])))
+        if self.taken is not None and self.set_c is not None:
+            event, reading = self.taken
+            air_c = reading.temperature_c if reading.chamber_c is None else reading.chamber_c
+            if air_c is not None:
+                known.append((event, air_c))
+        if self.rest is not None and self.rest[0].what == "temperature":
+            known.append((self._brought[Settle], self.rest[1].settled_at[0]))
+        return max(known, key=lambda one: one[0].number, default=None)

@@ -127,10 +127,9 @@ def _where(seen: Seen, time_left: TimeLeft) -> dict[str, Any]:
     left_s = None
     if seen.step is not None:
         left_s = time_left.at(seen.step.step, seen.step.bench_s)
-    mounted = seen.installation or (None, None)
     return {
-        "installation": getattr(step, "installation", None) or mounted[0],
-        "series": getattr(step, "series", None) or mounted[1],
+        "installation": getattr(step, "installation", None) or getattr(seen.mounted, "installation", None),
+        "series": getattr(step, "series", None) or getattr(seen.mounted, "series", None),
         "pass": getattr(step, "pass_number", None),
         "point": getattr(step, "point", None),
         "reading": seen.readings_done,
@@ -216,10 +215,7 @@ def _rest(seen: Seen) -> str:
     """Say how long what was waited for last took to come to rest."""
     if seen.rest is None:
         return ""
-    event, rest = seen.rest
-    step = seen.plan.steps[event.step]
-    if not isinstance(step, Settle):
-        return ""
+    step, rest = seen.rest
     return f"{step.what} settled after {duration(rest.settled_s)}, within {precision_in_words(step)}"
 
 
