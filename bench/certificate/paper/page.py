@@ -25,9 +25,9 @@ _LARGEST_LOGO: Final = 2 * MEGABYTE
 
 
 def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]:
-    """Return the files in a certificate's PDF, the digital certificate first."""
+    """Return the files in a certificate's PDF, the digital certificate first; a draft has none (`dcc` is empty)."""
     digital = Attached(DCC, "text/xml", "the digital calibration certificate (DCC)", dcc)
-    return digital, *certificate.attachments
+    return (digital, *certificate.attachments) if dcc else certificate.attachments
 
 
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
             [] if order is None else [" · ".join(filter(None, (order.number, reference)))],
         ),
         ("received", [] if unit is None else [f"{unit.received} · {unit.condition}"]),
-        ("calibrated", [days(found.begun, found.ended)]),
+        ("calibrated", [_days(certificate)]),
         ("place", [certificate.place]),
         ("state", [write.say(certificate.state.replace(" ", "_"))] if certificate.state else []),
     ]
@@ -124,11 +124,11 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
             _matrix(certificate, write), *proof.verdict(certificate, write)]  # fmt: skip
 
 
-def days(begun: str, ended: str) -> str:
-    """Return the days of two civil times, once where they are one."""
-    first, last = day_of(begun), day_of(ended)
-    if first is None or last is None:
+def _days(certificate: Certificate) -> str:
+    """Return the days of the calibration, once where they are one."""
+    if certificate.calibrated is None:
         return ""
+    first, last = certificate.calibrated
     return str(first) if first == last else f"{first} … {last}"
 
 

@@ -38,7 +38,7 @@ def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str
         *_uncertainty(found, write),
         *_conformity(found, write),
         *_readings(found, write),
-        *_record(found, write, attached),
+        *_record(certificate, write, attached),
         *_remarks(certificate, write),
     ]
 
@@ -260,8 +260,8 @@ def _readings(found: Found, write: Writer) -> list[Block]:
 # --- what it rests on ---------------------------------------------------------------------------------
 
 
-def _record(found: Found, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
-    record = found.record
+def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
+    record = certificate.found.record
     sealed = [write.words("seal_text", sealed=record.sealed)] if record.sealed else [write.words("no_seal")]
     head: list[Cell] = [write.say(key) for key in ("file", "description", "digest")]
     rows: list[list[Cell]] = [
@@ -272,7 +272,7 @@ def _record(found: Found, write: Writer, attached: list[tuple[str, str, str]]) -
         write.words("record_text", run=record.run, events=record.events, head=record.head),
         *sealed,
         write.heading("attached"),
-        write.words("attached_text"),
+        *([] if certificate.draft else [write.words("attached_text")]),
         write.table(head, rows, "lll", ["auto", 1, "auto"]),
     ]
 
