@@ -20,7 +20,7 @@ from tests.support.browsers import find_chromium, what_is_missing
 
 HERE = Path(__file__).parent
 RECORDS = HERE.parent / "data" / "records"
-PATIENCE_MS = 20_000
+PATIENCE_MS = 60_000
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
