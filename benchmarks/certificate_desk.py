@@ -45,5 +45,5 @@ def prepare(folder: Path, count: int) -> tuple[Desk, list[str]]:
     for name in ("laboratory", "order"):
         text = (shipped_folder(CERTIFICATE) / f"{name}.yaml").read_text(encoding="utf-8")
         (folder / f"{name}.yaml").write_text(text.replace("2026-11-16", "2026-01-01"), encoding="utf-8")
-    files = (load_document(folder / f"{name}.yaml") for name in ("laboratory", "order"))
-    return Desk(runs, *files, BY, utc_now), names
+    laboratory, order = (load_document(folder / f"{name}.yaml") for name in ("laboratory", "order"))
+    return Desk(runs, laboratory, order, BY, utc_now), names
