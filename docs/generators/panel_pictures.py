@@ -23,8 +23,8 @@ PICTURES: Final = {
     "watching": "The same run on a telephone, in dark, for a viewer.",
     "verdict": "The verdict of a finished run.",
 }
-WIDE: Final = {"width": 1600, "height": 1000}
-NARROW: Final = {"width": 390, "height": 844}
+WIDE: Final[Any] = {"width": 1600, "height": 1000}
+NARROW: Final[Any] = {"width": 390, "height": 844}
 
 
 def write_pictures(folder: Path) -> None:
