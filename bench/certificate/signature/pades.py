@@ -138,12 +138,28 @@ def _first_value(content: bytes) -> bytes:
     return bytes(load(content, strict=False).dump())
 
 
+def _check_wrapping(data: Any, signer: Any) -> None:
+    """Raise `NotIntact` where what the signature does not cover of its own wrapping is not as it was made.
+
+    That are versions and a list of algorithms (RFC 5652, 5.1, 5.3), which readers look at or not.
+    """
+    from asn1crypto.algos import DigestAlgorithm
+    from asn1crypto.core import Null
+
+    sha256 = DigestAlgorithm({"algorithm": "sha256", "parameters": Null()}).dump()
+    algorithms = [one.dump() for one in (*data["digest_algorithms"], signer["digest_algorithm"])]
+    versions = [data["version"].native, signer["version"].native]
+    if algorithms != [sha256, sha256] or versions != ["v1", "v1"] or signer["unsigned_attrs"].native:
+        raise NotIntact("its signature is not wrapped as one of PAdES, baseline B-B, with SHA-256 is")
+
+
 def _who(signature: Any) -> SignedPdf:
     from cryptography import x509
     from pyhanko.sign.fields import MDPPerm, SigSeedSubFilter
     from pyhanko.sign.validation import validate_pdf_signature
     from pyhanko_certvalidator import ValidationContext
 
+    _check_wrapping(signature.signed_data, signature.signer_info)
     if signature.sig_object.get("/SubFilter") != SigSeedSubFilter.PADES.value:
         raise NotIntact("its signature is of another kind than PAdES")
     when = signature.self_reported_timestamp
