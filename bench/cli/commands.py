@@ -7,7 +7,7 @@ from keyword import iskeyword
 from typing import Any, Final
 
 from typer.core import TyperCommand, TyperGroup
-from typer.main import get_command_from_info
+from typer.main import get_command_from_info, get_group
 
 COMMANDS: Final = {
     "run": "Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report.",
@@ -33,6 +33,7 @@ COMMANDS: Final = {
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
     "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
     " for Kalibr, PX4, ArduPilot.",
+    "certificate": "Certificates, on paper and for machines: issue, verify, amend, revoke, read.",
     "verify": "Δg at the verification points against the limit; exit status 1 unless the rule accepts all.",
     "report": "Write the report of a run: one HTML page.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
@@ -89,10 +90,12 @@ class Commands(TyperGroup):
 
 
 def load_command(name: str) -> Any:
-    """Import the module of a command and return what the library makes of its function."""
+    """Import the module of a command; return what the library makes of its function, or of its group's."""
     from bench.cli.options import app, with_own_parts
 
     word = name.replace("-", "_")
     module = import_module(f"bench.cli.{word}_" if iskeyword(word) else f"bench.cli.{word}")
+    if hasattr(module, "GROUP"):
+        return get_group(module.GROUP)
     (info,) = (one for one in app.registered_commands if one.callback.__module__ == module.__name__)
     return with_own_parts(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))

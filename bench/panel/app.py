@@ -11,7 +11,6 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.routing import Route
 
-from bench.analysis.calibration import CalibrationError
 from bench.api.errors import Refused
 from bench.base.forms import FileMistakes
 from bench.panel import assets
@@ -51,7 +50,7 @@ ROUTES = [
     Route("/runs/{name}/check-answer", live.check_answer),
 ]
 
-KNOWN = (RecordError, FileMistakes, Refused, CalibrationError, ReadingsError, BenchError, OSError)
+KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError)
 """Errors that were made to be read by a person: what a record or a file is like is no defect of the panel."""
 
 

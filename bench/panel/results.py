@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from bench.analysis.calibration.verdict_words import probability_in_words
 from bench.base.numbers import fixed, places, scale_for, two_digits
 from bench.base.whole import from_text
 from bench.panel.access.people import Refusal
@@ -139,6 +138,12 @@ def is_plain(path: Path) -> bool:
     return path.is_file() and not path.is_symlink()
 
 
+def _in_words(probability: Any) -> str:
+    from bench.analysis.calibration.verdict_words import optional_probability  # takes long to import
+
+    return optional_probability(None if probability is None else float(probability))
+
+
 def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     limit = float(told["limit_g"])
     scale = scale_for(limit, "g")
@@ -171,7 +176,7 @@ def _point(one: Mapping[str, Any], size: float) -> PointRow:
         + (f" (pass {one['pass']}, point {one['point']})" if "pass" in one else ""),
         delta=fixed(float(one["delta_g"]) / size, max(places(expanded), 0), sign=True),
         expanded=two_digits(expanded),
-        false_accept="–" if risk is None else probability_in_words(float(risk)),
+        false_accept=_in_words(risk),
         statement=str(one.get("statement", "pass" if one["passed"] else "fail")),
         passed=bool(one["passed"]),
     )
@@ -184,7 +189,7 @@ def _expanded(one: Mapping[str, Any]) -> float:
 def _risk(told: Mapping[str, Any]) -> str:
     for key, words in (("p_false_accept", "a false acceptance"), ("p_false_reject", "a false rejection")):
         if told.get(key) is not None:
-            return f"probability of {words}: {probability_in_words(float(told[key]))}"
+            return f"probability of {words}: {_in_words(told[key])}"
     return ""
 
 

@@ -15,12 +15,16 @@ from filelock import FileLock, Timeout
 
 from bench.base.whole import from_text, to_text, write_whole
 from bench.panel.access.kept import private_folder
+from bench.panel.access.people import Refusal
 from bench.panel.access.store import Access
-from bench.panel.settings import STATE, Settings, is_loopback
+from bench.panel.launching.detached import Started, start, wait_until
+from bench.panel.settings import PORT, STATE, Settings, is_loopback
 from bench.run.manifest import RecordError
 
 SERVER: Final = "server.json"
 LOCK: Final = "server.lock"
+OUTPUT: Final = "server.log"
+LOOKS_S: Final = 2.0
 
 OPEN_WIRE: Final = (
     "this is plain HTTP: what goes over the network can be read and changed on the way, tokens too; put a "
@@ -41,7 +45,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
     state = private_folder(settings.runs / STATE)
     lock = FileLock(state / LOCK, mode=0o600)
     try:
-        lock.acquire(timeout=0)
+        lock.acquire(timeout=LOOKS_S)  # who only looks whether a panel serves has it for a moment
     except Timeout:
         raise RecordError(
             f"{settings.runs}: a panel serves this folder already at {url_of(settings.runs)}; "
@@ -51,7 +55,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
         settings = replace(settings, port=listener.getsockname()[1])
         app = make_app(settings)
         told = {"url": settings.url, "pid": os.getpid(), "loopback": settings.loopback}
-        write_whole(state / SERVER, to_text(told))
+        write_whole(state / SERVER, to_text(told))  # it listens already: who connects now waits a moment
         tell(f"panel of the runs in {settings.runs}: {settings.url}")
         if settings.loopback:
             tell(f"sign in, once, within half an hour: {new_link(settings.runs)}")
@@ -125,6 +129,34 @@ def is_serving(runs: Path) -> bool:
             return False
     except Timeout:
         return True
+
+
+def open_panel(runs: Path, after: str = "/") -> str:
+    """Return a link to the panel of a folder, which is begun as a program of its own where none serves it.
+
+    It leads to the page `after`. Raises `RecordError` where no panel begins.
+    """
+    if not is_serving(runs):
+        begin_panel(runs)
+    return new_link(runs, after)
+
+
+def begin_panel(runs: Path, *options: str) -> Started:
+    """Begin a panel that lives on by itself, at the usual port or at a free one; it serves when this returns.
+
+    Raises `RecordError` where it does not begin.
+    """
+    state = private_folder(runs / STATE)
+    trouble = ""
+    for port in (PORT, 0):
+        (state / SERVER).unlink(missing_ok=True)
+        started = start(["panel", f"--runs={runs.absolute()}", f"--port={port}", *options], state / OUTPUT)
+        try:
+            if wait_until((state / SERVER).exists, started):
+                return started
+        except Refusal as refusal:
+            trouble = refusal.text
+    raise RecordError(f"{runs}: no panel begins there: {trouble or 'it takes too long'}")
 
 
 def new_link(runs: Path, after: str = "/") -> str:

@@ -204,7 +204,7 @@ def _freedom(members: Sequence[Value]) -> Node | None:
     if not any(math.isfinite(one.dof) for one in members):
         return None
     finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
-    listed = real_list([dof for _, dof in finite], [units.ONE], [name for name, _ in finite])
+    listed = real_list([dof for _, dof in finite], [units.ONE], [f"nu_{name}" for name, _ in finite])
     return node(
         "dcc:metaData",
         node("dcc:data", node("dcc:quantity", listed)),

@@ -9,7 +9,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
-from bench.api.giving_up import give_up as end_for_good
 from bench.panel.access.acting import acting, panel_of
 from bench.panel.access.people import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
@@ -93,6 +92,8 @@ async def give_up(request: Request) -> Response:
 
 
 async def _given_up(request: Request, run: Run, person: Person) -> Response:
+    from bench.api.giving_up import give_up as end_for_good  # takes long to import
+
     left = await _doing(end_for_good, run, _who(person))
     return _done(request, run, "; ".join(("ended for good", *left)))
 
@@ -113,7 +114,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
-        raise Refusal(507, f"it cannot be written ({error.strerror}); free the disk") from error
+        raise Refusal(409, f"it cannot be written ({error.strerror}); free the disk") from error
 
 
 def _done(request: Request, run: Run, what: str) -> Response:

@@ -25,7 +25,9 @@ def refused(request: Request, refusal: Refusal) -> Response:
     if wants_json(request):
         return JSONResponse({"problem": visible(refusal.text)}, status_code=refusal.status)
     if refusal.status == HTTPStatus.UNAUTHORIZED and request.method == "GET":
-        return RedirectResponse(f"/sign-in?next={quote(request.url.path)}", status_code=303)
+        return RedirectResponse(
+            f"/sign-in?next={quote(request.scope['path'], errors='replace')}", status_code=303
+        )
     title = HTTPStatus(refusal.status).phrase
     return page(request, "refused.html.j2", status=refusal.status, title=title, text=refusal.text)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from typing import Final
+from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -14,7 +15,7 @@ from bench.panel.access.people import Refusal, Role
 from bench.panel.access.store import LONGEST_SESSION
 from bench.panel.pages.shown import page
 
-_HERE: Final = re.compile(r"/(?:[^/\\\s][^\\\s]*)?")
+_HERE: Final = re.compile(r"/(?:[^/\\\s][^\\]*)?")
 
 
 def sign_in(request: Request) -> Response:
@@ -62,9 +63,16 @@ async def sign_out(request: Request) -> Response:
 
 
 def _form(request: Request, after: str, *, link: str = "", wrong: str = "", status: int = 200) -> Response:
-    return page(request, "sign_in.html.j2", status=status, next=_here(after), link=link[:200], wrong=wrong)
+    return page(
+        request,
+        "sign_in.html.j2",
+        status=status,
+        next=after if _HERE.fullmatch(after) else "/",
+        link=link[:200],
+        wrong=wrong,
+    )
 
 
 def _here(path: str) -> str:
     """Return a path of this panel: what leads elsewhere leads to the runs."""
-    return path if _HERE.fullmatch(path) and path.isascii() else "/"
+    return quote(path, errors="replace") if _HERE.fullmatch(path) else "/"
