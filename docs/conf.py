@@ -8,6 +8,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))  # the generators stand beside the pages and are installed nowhere
 
 from docs.generators import write_pages  # noqa: E402
+from docs.generators.example_certificate import write_example  # noqa: E402
 
 project = "Calibration bench"
 author = "the authors of triaxial-bench"
@@ -35,3 +36,4 @@ pygments_style = "default"
 pygments_dark_style = "monokai"
 
 write_pages(HERE / "reference")
+write_example(HERE / "reference" / "example")
