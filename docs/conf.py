@@ -36,4 +36,4 @@ pygments_style = "default"
 pygments_dark_style = "monokai"
 
 write_pages(HERE / "reference")
-write_example(HERE / "reference" / "example")
+write_example(HERE / "reference")

@@ -11,6 +11,7 @@ from docs.generators import (
     commands,
     effects,
     estimators,
+    example_certificate,
     instruments,
     procedure_files,
     python_face,
@@ -30,6 +31,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "effects.md": effects.page,
     "instruments.md": instruments.page,
     "estimators.md": estimators.page,
+    "example-certificate.md": example_certificate.page,
     "_rooms.md": rooms.fragment,
 }
 """By file name what makes it; names that begin with `_` are parts of other pages."""

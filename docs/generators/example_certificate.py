@@ -11,21 +11,33 @@ from typing import Final
 _PAGE: Final = """\
 # An example of a certificate
 
-It is made when this site is built: a dry run of the paper's procedure, the laboratory and order files that `bench init`
-writes, in two languages, signed with a key that is made for it and thrown away. So it says on every page that it is
-simulated, its number is one of the series `SIM-`, and `bench certificate verify` says of it: *{headline}*.
+It is made when this site is built: a dry run of the paper's procedure, the laboratory and order files that
+`bench init` writes, in two languages, signed with a key that is made for it and thrown away. So it says on every
+page that it is simulated, and its number is one of the series `SIM-`. [Certificates](../certificates.md) says
+what stands where.
 
-The files: [PDF](certificate.pdf) with all that is attached, [XML](certificate.xml).
-What stands where: [Certificates](../../certificates.md).
+```{include} _example-certificate.md
+```
+"""
+_FILES: Final = "example"
+_PART: Final = """\
+`bench certificate verify` says of it: *{headline}*. The files: [PDF]({files}/certificate.pdf) with all that is
+attached, [XML]({files}/certificate.xml).
 
 {pictures}
 """
 
 
-def write_example(folder: Path) -> None:
-    """Write the page, its pictures and both forms of the certificate into a folder."""
+def page() -> str:
+    """Return the page; what it shows is written by `write_example`."""
+    return _PAGE
+
+
+def write_example(reference: Path) -> None:
+    """Write both forms of a certificate, pictures of its pages and the part of the page that shows them."""
     from bench.certificate.verify.verdict import verify_certificate
 
+    folder = reference / _FILES
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("page-*.png"):
         stale.unlink()
@@ -33,12 +45,12 @@ def write_example(folder: Path) -> None:
         xml, pdf, pages = _made(Path(temporary))
     (folder / "certificate.xml").write_bytes(xml)
     (folder / "certificate.pdf").write_bytes(pdf)
-    for number, page in enumerate(pages, 1):
-        (folder / f"page-{number}.png").write_bytes(page)
-    pictures = [f"![Page {n} of the certificate](page-{n}.png)" for n in range(1, len(pages) + 1)]
+    for number, picture in enumerate(pages, 1):
+        (folder / f"page-{number}.png").write_bytes(picture)
+    names = [f"![Page {n} of the certificate]({_FILES}/page-{n}.png)" for n in range(1, len(pages) + 1)]
     headline = verify_certificate(folder / "certificate.pdf", None, folder / "none").headline
-    text = _PAGE.format(headline=headline, pictures="\n\n".join(pictures))
-    (folder / "certificate.md").write_text(text, encoding="utf-8")
+    part = _PART.format(headline=headline, files=_FILES, pictures="\n\n".join(names))
+    (reference / "_example-certificate.md").write_text(part, encoding="utf-8")
 
 
 def _made(folder: Path) -> tuple[bytes, bytes, list[bytes]]:
