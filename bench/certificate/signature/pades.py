@@ -127,15 +127,16 @@ def _check_cover(file: bytes, signature: Any) -> None:
     digits = gap[1:-1]
     if gap[:1] + gap[-1:] != b"<>" or len(digits) != 2 * len(content) or unhexlify(digits) != content:
         raise NotIntact("its signature leaves out more than itself")
-    if content[len(_first_value(content)) :].strip(b"\0"):
-        raise NotIntact("something stands after its signature in the place of it")
+    value = _written_anew(content)
+    if content[: len(value)] != value or content[len(value) :].strip(b"\0"):
+        raise NotIntact("something stands in the place of its signature beside it")
 
 
-def _first_value(content: bytes) -> bytes:
-    """Return the one DER value at the start of padded bytes."""
-    from asn1crypto.core import load
+def _written_anew(content: bytes) -> bytes:
+    """Return the one DER value at the start of padded bytes as it is written by the rules, lengths and all."""
+    from asn1crypto.cms import ContentInfo
 
-    return bytes(load(content, strict=False).dump())
+    return bytes(ContentInfo.load(content, strict=False).dump(force=True))
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:
