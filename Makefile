@@ -4,7 +4,7 @@ VENV := .venv
 STAMP := $(VENV)/.installed
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 
-.PHONY: dry-run test test-quick coverage mutation lint hooks docs blind-trial clean
+.PHONY: dry-run test test-quick test-browser coverage mutation lint hooks docs blind-trial clean
 
 dry-run: $(STAMP)
 	$(VENV)/bin/bench run paper --dry-run
@@ -14,7 +14,15 @@ test: $(STAMP)
 
 # Without the tests that are marked slow: what to run between two edits.
 test-quick: $(STAMP)
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not browser"
+
+# The panel in the system's Chromium; without one it says so, and fails.
+test-browser: $(VENV)/.driving
+	$(VENV)/bin/python -m pytest -m browser tests/browser
+
+$(VENV)/.driving: $(STAMP)
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[browser]'
+	touch $@
 
 coverage: $(STAMP)
 	$(PYTEST) --cov --cov-report=term:skip-covered
@@ -45,7 +53,7 @@ docs: $(VENV)/.documented
 	$(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 
 $(VENV)/.documented: $(STAMP)
-	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs]'
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs,browser]'
 	touch $@
 
 # About half an hour on two cores, after which docs/diagnosis.md has its tables; TRIAL=--short takes a few minutes.

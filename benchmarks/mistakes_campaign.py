@@ -39,7 +39,7 @@ from rich.console import Console
 from bench.analysis.calibration import CalibrationError
 from bench.api.calibration import calibration_of
 from bench.api.errors import Refused
-from bench.api.execution import carry_out, new_run, watcher_of
+from bench.api.execution import carry_out, new_run
 from bench.api.source import Request, load_sources
 from bench.assembly.simulated import operator_of, world_of
 from bench.base.arrays import Floats
@@ -51,6 +51,7 @@ from bench.readings.reading import Reading
 from bench.run.events import Event, EventType, Mounted, result_to_json
 from bench.run.folder import Run
 from bench.run.mounting import mount_prompt
+from bench.run.watch.of_plan import watcher_of
 from bench.run.watch.sign import MOST_TOLD
 from benchmarks.blind_trial.score import Share
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of

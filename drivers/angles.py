@@ -8,6 +8,9 @@ from typing import Final, NamedTuple
 
 EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
 
+ROUNDING_RAD: Final = 1e-10
+"""Keeps a reading exactly at the tolerance from being refused for the last bit of a float."""
+
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
 """For each place (degrees, minutes, seconds) its mark and what keyboards offer in its stead."""
 
@@ -78,6 +81,38 @@ def _parts(body: str) -> tuple[float, ...] | None:
         numbers.append(float(match["number"]))
         position = match.end()
     return tuple(numbers) or None
+
+
+def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
+    """Return the angle that a person read from a scale and typed, rad, on the turn on which `target_rad` lies.
+
+    Raises `ValueError` with the trouble in a sentence: nothing, no angle, or one that is further than
+    `tolerance_rad` from the target, then by how much and, where one explains it, by which slip.
+    """
+    if not text.strip():
+        raise ValueError("Nothing was typed: read the scale and type what it shows.")
+    try:
+        read_rad = parse_angle(text)
+    except ValueError as error:
+        raise ValueError(f"{error}.") from None
+    difference_rad = wrapped_rad(read_rad - target_rad)
+    if abs(difference_rad) > tolerance_rad + ROUNDING_RAD:
+        raise ValueError(_disagreement(read_rad, target_rad, difference_rad, tolerance_rad))
+    # The scale ends at 360°: 0°00′03″ read for a target of 360° is 360°00′03″.
+    turns = round((target_rad + difference_rad - read_rad) / math.tau)
+    return read_rad + turns * math.tau
+
+
+def _disagreement(read_rad: float, target_rad: float, difference_rad: float, tolerance_rad: float) -> str:
+    read = f"{format_dms(read_rad)} is {format_dms(abs(difference_rad))}"
+    side = "above" if difference_rad > 0.0 else "below"
+    slip = classic_slip(read_rad, target_rad, tolerance_rad)
+    if slip is not None:
+        return f"{read} {side} the target: probably {slip}."
+    return (
+        f"{read} {side} the target, outside the {format_dms(tolerance_rad)} allowed: "
+        "turn the head until it agrees."
+    )
 
 
 def format_dms(angle_rad: float, decimals: int = 0) -> str:

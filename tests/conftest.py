@@ -9,16 +9,25 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import thresholds
+
 # as `bench diagnose` has it: with many small matrices the threads would wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(autouse=True, scope="session")
 def cache_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep the user's cache out of it: tests run side by side, with the same addresses of instruments."""
+    """Keep the user's cache out of it: tests run side by side, with the same addresses of instruments.
+
+    Thresholds of diagnoses are in it from the start.
+    """
+    from bench.base.cache import cache_folder
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        thresholds.unpack(cache_folder("thresholds"))
         yield
+        thresholds.keep(cache_folder("thresholds"))
 
 
 @pytest.fixture
@@ -44,6 +53,19 @@ def dry_run_of_paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def paper_run(empty_folder: None, dry_run_of_paper: Path) -> None:
     """A dry run of the paper's procedure as `runs/run` of the empty folder: a copy of one that many share."""
     shutil.copytree(dry_run_of_paper, "runs/run")
+
+
+@pytest.fixture(autouse=True)
+def no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a test works by commands, leave the figures of pages empty: they cost more than all else.
+
+    Those of `tests/report` and the tests marked `figures` draw them.
+    """
+    if "bench" in request.fixturenames and request.node.get_closest_marker("figures") is None:
+        monkeypatch.setattr("bench.report.plots.svg_file", lambda name, inches, draw: EMPTY_FIGURE)
+
+
+EMPTY_FIGURE = '<svg viewBox="0 0 1 1"></svg>'
 
 
 @pytest.fixture

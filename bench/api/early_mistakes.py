@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.mistakes.search import Mistake
-from bench.api.execution import watcher_of
 from bench.api.source import Source
 from bench.base.arrays import Mask
 from bench.readings.mistaken import MistakeName
@@ -24,6 +23,7 @@ from bench.readings.table import Readings
 from bench.run.events import EventType
 from bench.run.folder import Run
 from bench.run.watch.confidence import STOP_ALARM
+from bench.run.watch.of_plan import watcher_of
 from bench.run.watch.sign import EarlySign
 from bench.run.watch.suppositions import CABLINGS, Kind
 

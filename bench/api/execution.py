@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
 
 from bench.api.errors import Refused
+from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
 from bench.api.simulated_truth import simulated_truth
@@ -27,15 +27,15 @@ from bench.devices.chambers import ControlledChamberForm
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
-from bench.model import ForwardModel
 from bench.procedure.load import Procedure, check, load_procedure
-from bench.procedure.plan import Plan, Read
+from bench.run.asking import Asker
 from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.clock_watch import ClockWatch
 from bench.run.control import ControlFile
 from bench.run.digest import Digests
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.run.history import History, read_history
+from bench.run.listening import WishListener
 from bench.run.log import RunLog
 from bench.run.manifest import Manifest, RecordError, VerdictAsked
 from bench.run.power import Feeding
@@ -45,8 +45,7 @@ from bench.run.runner import RunAborted, Runner
 from bench.run.signals import Interrupts
 from bench.run.states import ENDED
 from bench.run.terminal import ProgressBar, TerminalPerson
-from bench.run.watch.early_warning import EarlyWarning
-from bench.run.watch.watcher import Watcher
+from bench.run.watch.of_plan import watcher_of
 from bench.run.way_out import with_notes
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
@@ -88,10 +87,12 @@ def new_run(
     unit: str | None = None,
     model: Path | None = None,
     verdict: VerdictAsked | None = None,
+    living: bool = False,
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
 
-    `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's.
+    `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's. A person
+    answers the questions of a `living` dry run.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -101,7 +102,7 @@ def new_run(
     loaded = load_procedure(procedure_path)
     plan = loaded.expand()
     file = load_bench(bench_file_path)
-    problems = check(plan, file, dry_run=dry_run)
+    problems = check(plan, file, dry_run=dry_run and not living)
     if unit is not None and (not unit.strip() or not unit.isprintable()):
         problems = [
             *problems,
@@ -137,6 +138,8 @@ def new_run(
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
     }
+    if living:
+        manifest["living"] = True
     if foreign := foreign_drivers(file):
         manifest["devices"] = foreign
     if verdict:
@@ -224,12 +227,14 @@ def carry_out(
     wire: WireLog | None,
     out: Console,
     interrupts: Interrupts | None = None,
+    heard: Heard | None = None,
 ) -> None:
     """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed.
 
-    `interrupts` hears the signals meanwhile.
+    `interrupts` hears the signals meanwhile, `heard` is who is asked and what is wished.
     """
     signals = interrupts or Interrupts()
+    heard = heard or Heard(WishListener(ControlFile(run.folder)))
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
@@ -247,7 +252,7 @@ def carry_out(
         )
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
-        with _assembly(run, bench, history, wire, out, signals.haste) as (assembly, bar):
+        with _assembly(run, bench, history, wire, out, signals.haste, heard.asker) as (assembly, bar):
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -257,11 +262,13 @@ def carry_out(
                 range_v=bench.voltmeter_range_v,
                 observers=(*assembly.observers, watcher.observe, bar, RunLog(run.folder, run.plan)),
                 at_resumed_time=assembly.at_resumed_time,
-                controls=ControlFile(run.folder),
+                controls=heard.wishes,
+                stopped=lambda: heard.wishes.stopped,
+                asker=heard.asker,
                 progress=Progress.of(history) if history else Progress(),
                 watch=watcher.take,
                 # who resumes a dry run that stopped is there to be asked
-                decider=TerminalPerson(sys.stdin, out, bar.pause, bar.go_on) if history else None,
+                decider=heard.asker if history else None,
                 block_limits_c=(
                     bench.unit_under_test.temperature.minimum,
                     bench.unit_under_test.temperature.maximum,
@@ -313,12 +320,21 @@ def _slow_chamber_s(bench: BenchFile) -> float:
 
 @contextmanager
 def _assembly(
-    run: Run, bench: BenchFile, history: History | None, wire: WireLog | None, out: Console, haste: Haste
+    run: Run,
+    bench: BenchFile,
+    history: History | None,
+    wire: WireLog | None,
+    out: Console,
+    haste: Haste,
+    asker: Asker | None,
 ) -> Iterator[tuple[Assembly, ProgressBar]]:
-    """Put the bench together with the progress bar; a terminal person pauses the bar while it asks."""
+    """Put the bench together with the progress bar; a question at the terminal pauses the bar."""
     supply = bench.unit_under_test.supply
     step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
     bar = ProgressBar(run.plan, out, step_s)
+    if asker is not None and asker.terminal is not None:
+        asker.terminal.beside(bar)
+    living = asker if run.asks_somebody else None
     with bar:
         if run.simulated:
             taken = [one[1] for one in (history.taken if history else ()) if one is not None]
@@ -326,29 +342,12 @@ def _assembly(
             model = run.folder / MODEL
             with knowing_effects_on_record(run):
                 truth = simulated_truth(bench, model if model.is_file() else None)
-            with dry_bench(bench, truth, seed, wire, haste, plan=run.plan, taken=taken) as assembly:
+            with dry_bench(
+                bench, truth, seed, wire, haste, plan=run.plan, taken=taken, living=living
+            ) as assembly:
                 yield assembly, bar
         else:
-            yield real_bench(bench, TerminalPerson(sys.stdin, out, bar.pause, bar.go_on), wire, haste), bar
-
-
-def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
-    """Return who compares each reading of a plan with what the model expects from those before it."""
-    reads = [step for step in plan.steps if isinstance(step, Read)]
-    following = {
-        (read.series, read.installation, read.pass_number, read.point): after.target_rad
-        for read, after in pairwise(reads)
-        if after.target_rad is not None
-        and (read.series, read.installation) == (after.series, after.installation)
-    }
-    warning = EarlyWarning(
-        bench.unit_under_test.scale_factors.values,
-        ForwardModel(bench.installation_models()),
-        {name: distribution.u for name, distribution in bench.stand_distributions().items()},
-        readings=len(reads),
-        following=following,
-    )
-    return Watcher(warning)
+            yield real_bench(bench, living or TerminalPerson(sys.stdin, out), wire, haste), bar
 
 
 def _elapsed_s(history: History) -> float:

@@ -31,7 +31,7 @@ from bench.model.geometry import specific_force_on_platform
 from bench.procedure.check import check as check_against
 from bench.procedure.load import load_procedure
 from bench.readings.table import UNORIENTED, VERIFICATION
-from bench.run.terminal import duration
+from bench.run.sentences import duration
 
 _COMPARED: Final = "paper"
 

@@ -1,7 +1,8 @@
 """The composition root: the only place that knows both the drivers and the simulation.
 
 A real bench is drivers on the resources of the bench file and a person at the terminal; a dry run is the
-very same drivers on resources that lead to simulated instruments, a scripted operator and a virtual clock.
+very same drivers on resources that lead to simulated instruments, a scripted operator (or a living person) and a
+virtual clock.
 
 What carries the messages of a dry run: an instrument on a serial port is reached over a pseudo-terminal,
 where the system has these and the port 8 data bits, and one behind a GPIB adapter through a simulated
@@ -18,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final
 
+from bench.assembly.living import LivingOperator
 from bench.assembly.real import Surroundings, instruments_of
 from bench.assembly.simulated import (
     buses_of,
@@ -38,7 +40,7 @@ from bench.run.events import Event, EventType
 from bench.run.runner import Observer
 from bench.run.workbench import Instruments
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import BenchError, Person, Voltmeter
+from drivers.interfaces import BenchError, Person, Voltmeter, WatchingPerson
 from drivers.wire.haste import Haste
 from drivers.wire.holding import Holding
 from drivers.wire.visa import MessageSession, Wire
@@ -97,8 +99,11 @@ def dry_bench(
     *,
     plan: Plan | None = None,
     taken: Sequence[Reading] = (),
+    living: WatchingPerson | None = None,
 ) -> Iterator[Assembly]:
     """Put a simulated bench together: the bench file's stand and block as truth, `model` with its effects.
+
+    `living` is a person who answers in place of the scripted operator.
 
     Of the steps of `plan` the world learns in which order they read the channels. `taken` are the readings on
     record of a run to be resumed: effects look back to them.
@@ -106,7 +111,8 @@ def dry_bench(
     """
     clock = VirtualClock()
     world = world_of(bench, model, seed, clock)
-    operator = ScriptedOperator(world, operator_of(bench))
+    scripted = ScriptedOperator(world, operator_of(bench))
+    operator = scripted if living is None else LivingOperator(living, scripted)
 
     def key_world(event: Event) -> None:
         """Tell the world which step goes on, so that its random numbers belong to the step."""

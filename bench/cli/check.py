@@ -60,7 +60,7 @@ def _print(found: Findings, *, every_step: bool) -> None:
     from bench.api.outlook import disk_space
     from bench.procedure.check import switched_before
     from bench.procedure.listing import listing
-    from bench.run.terminal import duration
+    from bench.run.sentences import duration
 
     out = printing.console()
     plan, bench = found.plan, found.bench
@@ -95,7 +95,7 @@ def _print(found: Findings, *, every_step: bool) -> None:
 
 
 def _print_times(out: Console, heading: str, times_s: Mapping[str, float], counts: Mapping[str, str]) -> None:
-    from bench.run.terminal import duration
+    from bench.run.sentences import duration
 
     table = printing.table(heading, *([">count"] if counts else []), ">expected time")
     for name, seconds in times_s.items():
@@ -144,7 +144,7 @@ def _outlook_in_words(found: Outlook | None) -> Iterator[str]:
 
 
 def _cost_in_words(seconds: float) -> str:
-    from bench.run.terminal import duration
+    from bench.run.sentences import duration
 
     return f"about {duration(seconds)} more" if seconds else "no further readings"
 

@@ -7,7 +7,7 @@ from keyword import iskeyword
 from typing import Any, Final
 
 from typer.core import TyperCommand, TyperGroup
-from typer.main import get_command_from_info
+from typer.main import get_command_from_info, get_group
 
 COMMANDS: Final = {
     "run": "Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report.",
@@ -20,17 +20,20 @@ COMMANDS: Final = {
     " touch no instrument.",
     "instruments": "Open every instrument of a bench at once:"
     " identity, self-test, a reading, and all that is wrong.",
+    "panel": "Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in.",
     "simulate": "Serve the simulated instruments of a bench file until Ctrl-C,"
     " or command a bench that is served.",
     "runs": "List the runs, what became of them, and how to go on.",
     "show": "Show what a run holds: inputs, events, readings.",
     "seal": "Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time.",
-    "key": "Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs.",
+    "key": "Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs;"
+    " or one that signs certificates.",
     "export": "Write the readings of a run as a readings file.",
     "import": "Make a run of a readings file that was measured elsewhere.",
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
     "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
     " for Kalibr, PX4, ArduPilot.",
+    "certificate": "Certificates, on paper and for machines: issue, verify, amend, revoke, read.",
     "verify": "Δg at the verification points against the limit; exit status 1 unless the rule accepts all.",
     "report": "Write the report of a run: one HTML page.",
     "diagnose": "Where readings and model disagree: name the missing effect, add it, show the gap shrink.",
@@ -87,10 +90,12 @@ class Commands(TyperGroup):
 
 
 def load_command(name: str) -> Any:
-    """Import the module of a command and return what the library makes of its function."""
+    """Import the module of a command; return what the library makes of its function, or of its group's."""
     from bench.cli.options import app, with_own_parts
 
     word = name.replace("-", "_")
     module = import_module(f"bench.cli.{word}_" if iskeyword(word) else f"bench.cli.{word}")
+    if hasattr(module, "GROUP"):
+        return get_group(module.GROUP)
     (info,) = (one for one in app.registered_commands if one.callback.__module__ == module.__name__)
     return with_own_parts(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))

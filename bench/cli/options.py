@@ -173,6 +173,14 @@ WireLogOption = Annotated[
     Path | None,
     typer.Option("--wire-log", metavar="FILE", help="Write every message to and from the instruments."),
 ]
+AnswersOption = Annotated[
+    str | None,
+    typer.Option(
+        "--answers",
+        metavar="PLACE",
+        help="Where a person answers the questions, also those of a dry run: terminal, or folder (the run's).",
+    ),
+]
 GravityOption = Annotated[
     float | None,
     typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),

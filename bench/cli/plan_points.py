@@ -131,7 +131,7 @@ def _print(
     time: str | None,
 ) -> None:
     from bench.api.points import roll_stated
-    from bench.run.terminal import duration
+    from bench.run.sentences import duration
 
     table = printing.table("installation", ">settings", "angles (visits where more than one)")
     for mount, angles in points.visits.items():

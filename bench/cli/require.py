@@ -156,7 +156,7 @@ def _limit_table(answer: RequirementAnswer) -> Table:
 
 
 def _alternative_table(answer: RequirementAnswer) -> Table:
-    from bench.run.terminal import duration
+    from bench.run.sentences import duration
 
     name = answer.alternatives[0].limit.source.name if answer.alternatives else ""
     k_u = f">{answer.requirement.k:g} u"

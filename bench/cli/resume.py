@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.cli import printing
-from bench.cli.options import RUNS, JsonOption, LatestRun, RunsOption, WireLogOption, app
-from bench.cli.run import conclude
+from bench.cli.options import RUNS, AnswersOption, JsonOption, LatestRun, RunsOption, WireLogOption, app
+from bench.cli.run import conclude, is_away
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bench.run.asking import Asker
     from bench.run.folder import Run
 
 
@@ -18,45 +20,58 @@ if TYPE_CHECKING:
 def resume(
     name: LatestRun = None,
     wire_log: WireLogOption = None,
+    answers: AnswersOption = None,
     json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
     """Go on with an interrupted run at the first point without a reading."""
     from bench.api.execution import carry_out, refuse_missing_devices, taken_up, unfinished_run
+    from bench.api.heard import heard_in
+    from bench.run.control import ControlFile
     from bench.run.folder import Run
+    from bench.run.listening import WishListener
     from bench.run.signals import Interrupts
     from drivers.wire.log import logged_wire
 
     printing.check_target(json)
+    away = is_away(answers)
     found = unfinished_run(name, runs)
     refuse_missing_devices(found)
-    _accept_changes(found, json)
-    with logged_wire(wire_log) as wire, Interrupts() as interrupts:
+    out = printing.console(json=json)
+    with (
+        logged_wire(wire_log) as wire,
+        Interrupts() as interrupts,
+        WishListener(ControlFile(found.folder)) as wishes,
+    ):
         record, history = taken_up(found, interrupts.shield)
-        if history.torn:
-            printing.notes_aside(["the last line of the record was half written and is dropped"])
-        carry_out(found, record, history, wire, printing.console(json=json), interrupts)
+        try:
+            if history.torn:
+                printing.notes_aside(["the last line of the record was half written and is dropped"])
+            heard = heard_in(found, record, history, wishes, out, away=away)
+            _accept_changes(found, heard.asker, out)
+        except BaseException:
+            record.close()
+            raise
+        carry_out(found, record, history, wire, out, interrupts, heard)
     return conclude(Run(found.folder), json)
 
 
-def _accept_changes(run: Run, target: str | None) -> None:
+def _accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
     from bench.run.prompts import agree
-    from bench.run.terminal import TerminalPerson
     from drivers.interfaces import Prompt, PromptKind
 
     changes = _changed_since(run)
-    out = printing.console(json=target)
     for change in changes:
         out.print(f"note: {change}; the run goes on with the copy in its folder")
-    if changes and not run.simulated:
+    if changes and not run.simulated and asker is not None:
         prompt = Prompt(
             id="changed",
             kind=PromptKind.CONFIRM,
-            text="Go on as the run was begun, without these changes?",
+            text=f"{'; '.join(changes)}. Go on as the run was begun, without these changes?",
             action={"do": "answer"},
         )
-        agree(TerminalPerson(sys.stdin, out, wishes=()), prompt)
+        agree(asker, prompt)
 
 
 def _changed_since(run: Run) -> list[str]:

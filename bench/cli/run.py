@@ -11,6 +11,7 @@ from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import (
     RUNS,
+    AnswersOption,
     BenchOption,
     GuardBandOption,
     JsonOption,
@@ -49,6 +50,7 @@ def run(
     follow: Annotated[
         bool, typer.Option("--follow", help="Then diagnose, and run at once what would tell more.")
     ] = False,
+    answers: AnswersOption = None,
     json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
@@ -66,6 +68,10 @@ def run(
     if model is not None and not dry_run:
         raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
 
+    away = is_away(answers)
+    if follow and away:
+        raise Refused("--follow asks at the terminal before it measures further: leave --answers folder out")
+
     verdict: VerdictAsked | None = None
     if (limit, rule, guard_band) != (None, None, None):
         from bench.api.taken import find_bench_file
@@ -77,7 +83,10 @@ def run(
 
     def carried_out(procedure: str, name: str | None, seed: int) -> tuple[Run, int]:
         from bench.api.execution import carry_out, new_run
+        from bench.api.heard import heard_in
+        from bench.run.control import ControlFile
         from bench.run.folder import Run
+        from bench.run.listening import WishListener
         from bench.run.signals import Interrupts
         from drivers.wire.log import logged_wire
 
@@ -92,14 +101,21 @@ def run(
             unit=unit,
             model=model,
             verdict=verdict,
+            living=dry_run and answers is not None,
         )
         out = printing.console(json=json)
         if json != "-":
             out.print(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}")
         printing.notes_on(out, new.notes)
-        with logged_wire(wire_log) as wire, Interrupts() as interrupts:
+        with (
+            logged_wire(wire_log) as wire,
+            Interrupts() as interrupts,
+            WishListener(ControlFile(new.folder)) as wishes,
+        ):
             record = new.record(interrupts.shield)
-            carry_out(Run(new.folder), record, None, wire, out, interrupts)
+            begun = Run(new.folder)
+            heard = heard_in(begun, record, None, wishes, out, away=away)
+            carry_out(begun, record, None, wire, out, interrupts, heard)
         done = Run(new.folder)
         return done, conclude(done, json)
 
@@ -112,6 +128,13 @@ def run(
     return max(
         status, measure_further(done, lambda further, called: carried_out(further, called, seed + 1)[1])
     )
+
+
+def is_away(answers: str | None) -> bool:
+    """Whether questions are answered in the run's folder alone. Raises `Refused` for another place."""
+    if answers not in (None, "terminal", "folder"):
+        raise Refused(f"--answers {answers}: questions are answered at the terminal or in the folder")
+    return answers == "folder"
 
 
 def conclude(run: Run, target: str | None = None) -> int:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from bench.cli import printing
 from bench.cli.options import RUNS, JsonOption, RunArgument, RunsOption, app
+
+_SAID: Final = ("answered", "answer_refused")
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -88,7 +90,7 @@ def _text(value: object) -> str:
 
 def _print_events(run: Run, out: Console) -> None:
     from bench.run.resume import resume_point
-    from bench.run.terminal import duration
+    from bench.run.sentences import duration, said
 
     if run.imported:
         return
@@ -102,8 +104,13 @@ def _print_events(run: Run, out: Console) -> None:
         reading = event.data.get("reading")
         if reading:
             text += "  " + "  ".join(f"{value:+.6f} {reading['unit']}" for value in reading["mean"])
-        if "error" in event.data:
-            text += f": {event.data['error']}"
+        if event.type in _SAID:
+            text = said(event)
+        for told in ("error", "reason", *(("text",) if event.type == "asked" else ())):
+            if event.data.get(told):
+                text += f": {event.data[told]}"
+        if event.data.get("by") and event.type not in _SAID:
+            text += f" ({event.data['by']}, {event.data.get('role')}, {event.data.get('where')})"
         out.print(f"{event.number:5d}  {duration(event.bench_s):>11}  {text}")
     point = resume_point(run.plan, run.history)
     if point.step < len(steps):

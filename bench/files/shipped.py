@@ -13,11 +13,12 @@ from bench.base.forms import FileMistake, FileMistakes
 
 PROCEDURES: Final = "procedures"
 CONFIG: Final = "config"
+CERTIFICATE: Final = "config/certificate"
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder of the shipped `PROCEDURES` or `CONFIG`."""
+    """Return the folder of the shipped `PROCEDURES`, `CONFIG` or `CERTIFICATE`."""
     installed = _PACKAGE / "shipped_files" / kind
     return installed if installed.is_dir() else _PACKAGE.parent / kind
 
@@ -55,12 +56,12 @@ def _find(name: str, kind: str, called: str) -> Path:
 
 
 def copy_shipped(target: Path) -> list[Path]:
-    """Copy the shipped files into `target`/procedures and `target`/config; return those that were written.
+    """Copy the shipped files into `target`/procedures, /config and /config/certificate; return what was written.
 
     A file that is there already is left as it is. Raises `OSError` where nothing can be written.
     """
     written = []
-    for kind in (PROCEDURES, CONFIG):
+    for kind in (PROCEDURES, CERTIFICATE, CONFIG):
         folder = target / kind
         folder.mkdir(parents=True, exist_ok=True)
         for file in sorted(shipped_folder(kind).glob("*.yaml")):

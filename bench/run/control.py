@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import getpass
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -13,25 +15,64 @@ from bench.run.states import Wish
 
 CONTROL: Final = "control.jsonl"
 SIGN: Final = ":"
-"""An answer that begins with it is a wish: ":redo", ":skip the cable came loose"."""
+"""A line at the terminal that begins with it is a wish: ":redo", ":skip the cable came loose"."""
+
+
+@dataclass(frozen=True)
+class Who:
+    """Who wished or answered something, in which role ("operator", "supervisor"), and where.
+
+    `where` is "terminal", "panel", or "command" for `bench control`. Old records do not say: then all are empty.
+    """
+
+    by: str = ""
+    role: str = ""
+    where: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Return it as it stands in an event or a line left in a run's folder; nothing where it is not known."""
+        told = {"by": self.by, "role": self.role, "where": self.where}
+        return told if any(told.values()) else {}
+
+    @classmethod
+    def from_json(cls, line: Mapping[str, Any]) -> Who:
+        """Return who an event, or a line left in a run's folder, says it was."""
+        return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
+
+
+NOBODY_KNOWN: Final = Who()
+
+
+def at_the_shell(where: str) -> Who:
+    """Return who this program runs for: whoever has a shell in the runs' folder counts as a supervisor."""
+    try:
+        name = getpass.getuser()
+    except (OSError, KeyError, ImportError):  # no such user, or no such list of them
+        name = ""
+    return Who(name, "supervisor", where)
 
 
 @dataclass(frozen=True)
 class RunControl:
-    """A wish, the reason given for it, and whether the person at the prompt has it (or another program)."""
+    """A wish, the reason given for it, whether the person at the prompt has it (or another program), and who."""
 
     wish: Wish
     reason: str = ""
     by_person: bool = False
+    who: Who = NOBODY_KNOWN
 
     def to_json(self) -> dict[str, str]:
         """Return it as it is left in a run's folder."""
-        return {"wish": self.wish.value, "reason": self.reason}
+        return {"wish": self.wish.value, "reason": self.reason, **self.who.to_json()}
+
+    def told(self) -> dict[str, str]:
+        """Return the reason and who, as an event tells them."""
+        return {"reason": self.reason, **self.who.to_json()}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> RunControl:
         """Return another program's wish. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
-        return cls(Wish(line["wish"]), str(line.get("reason", "")))
+        return cls(Wish(line["wish"]), str(line.get("reason", "")), who=Who.from_json(line))
 
 
 class OperatorWish(Exception):
@@ -40,6 +81,19 @@ class OperatorWish(Exception):
     def __init__(self, control: RunControl) -> None:
         super().__init__(control.wish.value)
         self.control = control
+
+
+class Stopped(KeyboardInterrupt):
+    """Somebody wished the run to stop: what Ctrl-C is, with who it was."""
+
+    def __init__(self, control: RunControl) -> None:
+        super().__init__()
+        self.control = control
+
+
+def raised(control: RunControl) -> OperatorWish | Stopped:
+    """Return the exception by which a wish leaves what is under way."""
+    return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 
 class Controls(Protocol):
@@ -67,26 +121,26 @@ class ControlFile:
 
     def poll(self) -> RunControl | None:
         """Return the next wish; a half-written line waits, one that is no wish is passed over."""
+        while (line := self._line()).endswith(b"\n"):
+            self._heard += len(line)
+            with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                return RunControl.from_json(json.loads(line))
+        return None
+
+    def _line(self) -> bytes:
         try:
             with self._path.open("rb") as file:
                 file.seek(self._heard)
-                line = file.readline()
-        except FileNotFoundError:
-            return None
-        if not line.endswith(b"\n"):
-            return None
-        self._heard += len(line)
-        try:
-            return RunControl.from_json(json.loads(line))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            return None
+                return file.readline()
+        except OSError:
+            return b""
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
     """Leave a wish in the folder of a run. Raises `OSError` where it cannot be written."""
     line = in_json(json.dumps(control.to_json(), ensure_ascii=False))
-    with (folder / CONTROL).open("a", encoding="utf-8") as file:
-        file.write(line + "\n")
+    with (folder / CONTROL).open("ab", buffering=0) as file:
+        file.write(line.encode() + b"\n")
 
 
 def parse_wish(text: str) -> RunControl:

@@ -126,7 +126,10 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
 
 
 class EventType(StrEnum):
-    """What may be recorded, with the names of what is told of it."""
+    """What may be recorded, with the names of what is told of it.
+
+    What somebody wished says in `by`, `role` and `where` who it was, where that is known.
+    """
 
     RUN_STARTED = "run_started"
     """`step`, the first one; `instruments`, their identities by name; where certificates are stated, `serials`."""
@@ -174,6 +177,16 @@ class EventType(StrEnum):
     """`step` and `causes` of an early sign that stopped the run; `reason` why it is gone on."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
+    ASKED = "asked"
+    """A prompt that may be answered from more than one place: `id`, which no other of the record has, and the
+    fields of a prompt: `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `action`, `picture`.
+
+    It stands until it is answered, or the run goes on, or stops, without an answer."""
+    ANSWERED = "answered"
+    """`id` of the prompt; `answer`, as it counts; `by`, `role` and `where`; `line` of the answers left in the
+    run's folder, from 1, where it is one of these."""
+    ANSWER_REFUSED = "answer_refused"
+    """As of `answered`, `answer` as it was given; `why`, a sentence."""
     CHAMBER_SLOW = "chamber_slow"
     """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
     CLOCK_JUMPED = "clock_jumped"
@@ -201,6 +214,9 @@ _TOLD: Final[Mapping[str, _Told]] = {
     EventType.POWER: (("power", str),),
     EventType.EARLY_SIGN: (("sentence", str),),
     EventType.WISH_REFUSED: (("wish", str), ("why", str)),
+    EventType.ASKED: (("id", str), ("kind", str), ("text", str), ("action", dict)),
+    EventType.ANSWERED: (("id", str), ("answer", str)),
+    EventType.ANSWER_REFUSED: (("id", str), ("answer", str), ("why", str)),
 }
 """What an event must tell, and as what, for those who read records to rely on it."""
 

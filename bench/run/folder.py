@@ -75,6 +75,11 @@ class Run:
         """Whether the run was made on simulated instruments."""
         return bool(self.manifest.get("dry_run"))
 
+    @property
+    def asks_somebody(self) -> bool:
+        """Whether a living person answers the questions of the run, and no scripted one."""
+        return not self.simulated or bool(self.manifest.get("living"))
+
     def trusted_history(self) -> History:
         """Return the history. Raises `RecordError` when a line or an input was changed."""
         if self.history.problems:

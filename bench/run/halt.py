@@ -6,9 +6,11 @@ from dataclasses import replace
 from typing import Final
 
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature
+from bench.run.answers import REASON, problem_with_answer
 from bench.run.control import OperatorWish, RunControl
 from bench.run.events import Event
 from bench.run.prompts import MOST_ATTEMPTS
+from bench.run.resume import Progress, first_of_pass, turn_before
 from bench.run.states import Wish
 from drivers.interfaces import BenchError, NoAnswer, Person, Prompt, PromptKind
 
@@ -38,8 +40,19 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
         kind=PromptKind.CHOOSE,
         text=f"Stopped. {doubt.data['sentence']}. {why}Put it right, then say how to go on: {first}, "
         "mount the block again and take the pass again, or go on with the readings as they are and say why",
-        choices=(*answers, f"{GO_ON} REASON"),
+        choices=(*answers, f"{GO_ON} {REASON}"),
         action={"do": "ask"},
+    )
+
+
+def pause_prompt(now_s: float) -> Prompt:
+    """Return the question that a run asks which is paused, `now_s` since it began."""
+    return Prompt(
+        id=f"pause@{now_s:.3f}",
+        kind=PromptKind.CONFIRM,
+        text="Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort",
+        default="yes",
+        action={"do": "wait"},
     )
 
 
@@ -63,11 +76,10 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
                 f"look at the bench, then resume and answer {answers}",
             ) from nobody
         given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""
-        if given.lower() in ANSWERS:
-            raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
-        reason = given[len(GO_ON) :].strip() if given.lower().startswith(f"{GO_ON} ") else ""
-        if reason and reason != "REASON":
-            return reason
+        if given and not problem_with_answer(prompt, given):
+            if given.lower() in ANSWERS:
+                raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
+            return given[len(GO_ON) :].strip()
         trouble = f"Answer one of {answers}, not {given!r}. "
     raise BenchError("operator", "no usable answer to how to go on", f"answer {answers}")
 
@@ -84,7 +96,26 @@ def step_in_doubt(plan: Plan, doubt: Event) -> int:
     return doubt.step + 1
 
 
-def mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
+def redo_from(plan: Plan, progress: Progress, wish: Wish, index: int) -> tuple[int, Mount | None] | None:
+    """Return the step from which a wish at step `index` has things taken again, and what is mounted before it.
+
+    None where no point was measured since the block was mounted.
+    """
+    after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
+    turn = turn_before(plan, after)
+    if turn == after:
+        return None
+    if wish is not Wish.REPEAT_POINT:
+        turn = first_of_pass(plan, turn)
+    found = _mounting_before(plan, turn) if wish is Wish.MOUNT_AGAIN else None
+    if found is None:
+        return turn, None
+    mounted, step = found
+    was_read = any(isinstance(plan.steps[i], Read) and i in progress.done for i in range(mounted, turn))
+    return (turn, step) if was_read else (mounted, None)  # with nothing read on it the mounting begins again
+
+
+def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
     """Return the step that mounted the block as it is mounted at step `index`; None where none did."""
     for i in range(index - 1, -1, -1):
         if isinstance(step := plan.steps[i], Mount):

@@ -8,7 +8,7 @@ from bench.base.visible import visible
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned
-from bench.run.terminal import duration, sentence
+from bench.run.sentences import duration, said, sentence
 
 LOG = "run.log"
 
@@ -27,21 +27,31 @@ class RunLog:
         try:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(
-                    visible(f"{event.time[:19]}  {duration(event.bench_s):>11}  {self._text(event)}\n")
+                    visible(
+                        f"{event.time[:19]}  {duration(event.bench_s):>11}  {in_words(event, self._plan)}\n"
+                    )
                 )
         except OSError:
             return
 
-    def _text(self, event: Event) -> str:
-        if event.type != EventType.STEP_DONE:
-            why = event.data.get("error") or event.data.get("reason")
-            return f"{event.type}: {why}" if why else sentence(event)
-        text = self._plan.steps[event.step].describe()
-        match event.result:
-            case Reading(mean=mean, unit=unit):
-                text += "  " + "  ".join(f"{value:+.8f}" for value in mean) + f" {unit}"
-            case Turned(angle_deg=angle):
-                text += f"  read {angle:.6f}°"
-            case Answered(answer=answer):
-                text += f"  {answer}"
-        return text
+
+def in_words(event: Event, plan: Plan) -> str:
+    """Return an event of a run of that plan as a line."""
+    if event.type == EventType.STEP_STARTED:
+        return f"begun: {plan.steps[event.step].describe()}"
+    if event.type == EventType.ASKED:
+        return f"asked: {event.data['text']}"
+    if event.type in (EventType.ANSWERED, EventType.ANSWER_REFUSED):
+        return said(event)
+    if event.type != EventType.STEP_DONE:
+        why = event.data.get("error") or event.data.get("reason")
+        return f"{event.type}: {why}" if why else sentence(event)
+    text = plan.steps[event.step].describe()
+    match event.result:
+        case Reading(mean=mean, unit=unit):
+            text += "  " + "  ".join(f"{value:+.8f}" for value in mean) + f" {unit}"
+        case Turned(angle_deg=angle):
+            text += f"  read {angle:.6f}°"
+        case Answered(answer=answer):
+            text += f"  {answer}"
+    return text

@@ -31,7 +31,8 @@ class Manifest(TypedDict, total=False):
     """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
 
     `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
-    `readings` that has, and nothing of a procedure. `bench_why` says why that bench file was taken. `devices` says
+    `readings` that has, and nothing of a procedure. `living` is a dry run whose questions a person answers.
+    `bench_why` says why that bench file was taken. `devices` says
     where those drivers came from that are none of the bench's own, `verdict` how it is judged in place of the bench
     file's; both are left out where there is nothing.
     """
@@ -43,6 +44,7 @@ class Manifest(TypedDict, total=False):
     readings: int
     dry_run: bool
     seed: int | None
+    living: bool
     operator: str
     procedure: str
     bench: str

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Final
 
-from drivers.interfaces import BenchError, Person, Prompt, PromptKind
+from bench.run.answers import NO, problem_with_answer
+from drivers.interfaces import BenchError, Person, Prompt
 
-YES: Final = frozenset({"y", "yes", "ok", "done"})
-NO: Final = frozenset({"n", "no"})
 MOST_ATTEMPTS: Final = 20
 MOST_WAITS: Final = 1000
 """So often may a task be answered with "no": more is nobody who reads the question."""
@@ -27,40 +25,11 @@ def ask(person: Person, prompt: Prompt) -> str:
         answer = person.ask(put)
         given = answer.text.strip() or (prompt.default or "")
         problem = "the answer belongs to an earlier question" if answer.prompt_id != put.id else ""
-        problem = problem or problem_with(prompt, given)
+        problem = problem or problem_with_answer(prompt, given)
         if not problem:
             return given
         text = f"{problem[0].upper()}{problem[1:]}. {prompt.text}"
     raise BenchError("operator", f"no usable answer to {prompt.text!r}", "read the question again")
-
-
-def problem_with(prompt: Prompt, text: str) -> str:
-    """Say what is wrong with an answer, in words; empty when it fits the prompt's kind and limits."""
-    match prompt.kind:
-        case PromptKind.CONFIRM:
-            return "" if text.lower() in YES | NO else f"answer yes or no, not {text!r}"
-        case PromptKind.CHOOSE:
-            return (
-                "" if text in prompt.choices else f"choose one of {', '.join(prompt.choices)}, not {text!r}"
-            )
-        case PromptKind.NUMBER:
-            return _problem_with_number(prompt, text)
-        case PromptKind.ANGLE:
-            return ""  # the head that asks knows its scale, and checks
-
-
-def _problem_with_number(prompt: Prompt, text: str) -> str:
-    try:
-        if "_" in text:
-            raise ValueError
-        value = float(text.replace(",", ".").removesuffix(prompt.unit).strip())
-    except ValueError:
-        return f"a number{' in ' + prompt.unit if prompt.unit else ''} is wanted, not {text!r}"
-    if prompt.minimum is not None and value < prompt.minimum:
-        return f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}".rstrip()
-    if prompt.maximum is not None and value > prompt.maximum:
-        return f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}".rstrip()
-    return "" if math.isfinite(value) else "a number is wanted"
 
 
 def confirm(person: Person, prompt: Prompt) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Turn
+from bench.run.answers import OpenPrompt
 from bench.run.events import Event, EventType
 from bench.run.manifest import RecordError
 from bench.run.states import Wish
@@ -25,7 +27,8 @@ class Progress:
     the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `in_vain` the steps
     at which one did whose point was redone for it, `gone_on` those at which one was overruled, `signs` how many
     there were. `power` is what was told last of the block's: "on", "found on", "off", "fault", or nothing;
-    `off_since_s` since when it is off, `warm` whether it has warmed up since it was switched on.
+    `off_since_s` since when it is off, `warm` whether it has warmed up since it was switched on. `asked` knows the
+    question that stands, `answers_heard` how many lines of the answers left in the folder were heard.
     """
 
     done: set[int] = field(default_factory=set)
@@ -42,6 +45,8 @@ class Progress:
     power: str = ""
     off_since_s: float | None = None
     warm: bool = False
+    asked: OpenPrompt = field(default_factory=OpenPrompt)
+    answers_heard: int = 0
 
     @classmethod
     def of(cls, history: History) -> Progress:
@@ -57,10 +62,12 @@ class Progress:
             remounts=dict(of.remounts),
             in_vain=set(of.in_vain),
             gone_on=set(of.gone_on),
+            asked=copy(of.asked),
         )
 
     def take(self, event: Event) -> None:
         """Take note of an event."""
+        self.asked.take(event)
         match event.type:
             case EventType.RUN_STARTED | EventType.RUN_RESUMED:
                 self.identities = dict(event.data["instruments"])
@@ -93,6 +100,8 @@ class Progress:
                 self.redone.update(event.steps)
             case EventType.SKIPPED:
                 self.skipped.update(event.steps)
+            case EventType.ANSWERED | EventType.ANSWER_REFUSED:
+                self.answers_heard = max(self.answers_heard, int(event.data.get("line", 0)))
 
     def _note_redo(self, redo: Event) -> None:
         """Remember at which reading the point alone was redone for a sign; more than the point begins anew."""

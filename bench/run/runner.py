@@ -9,38 +9,45 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
+from bench.run.asking import Asker
 from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.clock_watch import ClockWatch
-from bench.run.control import Controls, NoControls, OperatorWish, RunControl
+from bench.run.control import (
+    NOBODY_KNOWN,
+    Controls,
+    NoControls,
+    OperatorWish,
+    RunControl,
+    Stopped,
+    Who,
+    raised,
+)
 from bench.run.events import Event, EventType, result_to_json
-from bench.run.halt import how_to_go_on, mounting_before, step_in_doubt
+from bench.run.halt import how_to_go_on, pause_prompt, redo_from
 from bench.run.manifest import RecordError
 from bench.run.power import Feeding, UnitPower
 from bench.run.power_up import begin, take_up
 from bench.run.prompts import confirm
 from bench.run.record import Record
-from bench.run.resume import Progress, ResumePoint, end_of_point, first_of_pass, turn_before
+from bench.run.resume import Progress, ResumePoint, end_of_point
 from bench.run.same_serial import agree_to_others, same_serials
 from bench.run.settling import Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
 from bench.run.watch.sign import EarlySign
-from bench.run.way_out import leave_safe, with_notes
+from bench.run.way_out import how_it_stopped, leave_safe
 from bench.run.workbench import NAP_S, Instruments, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import (
     BadReading,
-    BenchError,
     InstrumentLost,
     InstrumentRefused,
     Person,
-    Prompt,
-    PromptKind,
 )
 
 Observer = Callable[[Event], None]
@@ -67,7 +74,9 @@ class Runner:
     go on after an early sign, where that is somebody else than `person`. After `hold_signals` no signal raises
     anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time that jumps
     where `clocks` see to it. `certificates` says of the serial numbers that answered, by name, what is to be told
-    of the instruments' certificates. `fed` is how the power supply feeds the block.
+    of the instruments' certificates. `fed` is how the power supply feeds the block. `asker` is the living person
+    behind `person` or `decider`, who may be asked in more than one place; `stopped` tells the wish by which the
+    program was interrupted.
     """
 
     plan: Plan
@@ -92,6 +101,8 @@ class Runner:
     hold_signals: Callable[[], None] = lambda: None
     certificates: Callable[[Mapping[str, str]], Sequence[str]] | None = None
     fed: Feeding | None = None
+    asker: Asker | None = None
+    stopped: Callable[[], RunControl | None] = lambda: None
     state: RunState = RunState.READY
     _zero_s: float = 0.0
 
@@ -110,6 +121,8 @@ class Runner:
             slow_chamber_s=self.slow_chamber_s,
             tell=self._tell,
         )
+        if self.asker is not None:
+            self.asker.attach(self._tell, self.controls)
         if self.fed is not None and (supply := self.instruments.power_supply) is not None:
             power = UnitPower(supply, self.fed, self.person, self.clock, self._now_s, self._hear, self._tell)
             power.watch_while_asked(self.person, self.decider)
@@ -177,7 +190,8 @@ class Runner:
         if doubt is not None:
             again = doubt.step in self.progress.in_vain
             reason = how_to_go_on(self.decider or self.person, doubt, again=again)
-            self._emit(EventType.WENT_ON, step=doubt.step, causes=doubt.data["causes"], reason=reason)
+            told = {"causes": doubt.data["causes"], "reason": reason, **self._answerer().to_json()}
+            self._emit(EventType.WENT_ON, step=doubt.step, **told)
 
     # --- the life of a run ---------------------------------------------------------------------------
 
@@ -202,18 +216,13 @@ class Runner:
 
     def _record_stop(self, cause: BaseException | None) -> None:
         """Record what stopped the run, where it had not ended already and can be written."""
-        match cause:
-            case None | RecordError() | RunAborted():
-                return
-            case Exception():
-                instrument = cause.instrument if isinstance(cause, BenchError) else ""
-                event, data = EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}
-            case _:
-                event, data = EventType.RUN_INTERRUPTED, {}
+        if cause is None or isinstance(cause, RecordError | RunAborted):
+            return
+        event, data = how_it_stopped(cause, self.stopped())
         if event in TRANSITIONS[self.state]:
             self._change(event, **data)
 
-    def _emit(self, kind: EventType, **data: Any) -> None:
+    def _emit(self, kind: EventType, /, **data: Any) -> None:
         event = self.record.append(kind, self._now_s(), **data)
         self.progress.take(event)
         for observer in self.observers:
@@ -281,20 +290,28 @@ class Runner:
     # --- wishes --------------------------------------------------------------------------------------
 
     def _hear(self) -> None:
-        """Raise `OperatorWish` when somebody left one."""
+        """Raise `OperatorWish`, or `Stopped`, when somebody left a wish."""
+        if self.asker is not None:
+            self.asker.drain()
         control = self.controls.poll()
         if control is not None:
-            raise OperatorWish(control)
+            raise raised(control)
+
+    def _answerer(self) -> Who:
+        """Who gave the last answer, where that is known."""
+        return NOBODY_KNOWN if self.asker is None else self.asker.answered_by
 
     def _obey(self, control: RunControl, index: int) -> int:
         """Do as the person wishes at step `index`; return the step to go on with."""
+        if control.by_person and control.who == NOBODY_KNOWN:
+            control = replace(control, who=self._answerer())
         if control.wish not in HEARD[self.state]:
             return self._refuse(control, index, f"the run is {self.state}")
         match control.wish:
             case Wish.PAUSE:
                 return self._pause(control, index)
             case Wish.CONTINUE:
-                self._change(EventType.RUN_CONTINUED)
+                self._change(EventType.RUN_CONTINUED, **control.who.to_json())
                 return index
             case Wish.REPEAT_POINT | Wish.REPEAT_PASS | Wish.MOUNT_AGAIN:
                 return self._redo(control, index)
@@ -302,72 +319,57 @@ class Runner:
                 return self._refuse(control, index, "the reading in doubt is to be settled first")
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
-                self._emit(EventType.SKIPPED, first=index, last=last, reason=control.reason)
+                self._emit(EventType.SKIPPED, first=index, last=last, **control.told())
                 return last + 1
             case Wish.ABORT:
                 raise self._aborted(control)
+            case Wish.STOP:
+                raise Stopped(control)
 
     def _aborted(self, control: RunControl) -> RunAborted:
-        self._change(EventType.RUN_ABORTED, reason=control.reason)
+        self._change(EventType.RUN_ABORTED, **control.told())
         return RunAborted(control.reason)
 
     def _refuse(self, control: RunControl, index: int, why: str) -> int:
-        self._emit(EventType.WISH_REFUSED, wish=control.wish.value, why=why)
+        self._emit(EventType.WISH_REFUSED, wish=control.wish.value, why=why, **control.who.to_json())
         return index
 
     def _pause(self, pause: RunControl, index: int) -> int:
         """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
-        self._change(EventType.RUN_PAUSED, reason=pause.reason)
+        self._change(EventType.RUN_PAUSED, **pause.told())
+        ask = pause.by_person or self.asker is not None
         while self.state is RunState.PAUSED:
-            control = self._asked() if pause.by_person else self.controls.poll()
+            control = self._asked() if ask else self.controls.poll()
             if control is None:
                 self._workbench.watch_rails("paused")
                 self.patience.sleep(NAP_S)
                 continue
             after = self._obey(control, index)
             if self.state is RunState.PAUSED and after != index:
-                self._change(EventType.RUN_CONTINUED)
+                self._change(EventType.RUN_CONTINUED, **control.who.to_json())
             index = after
         return index
 
     def _asked(self) -> RunControl:
-        """Ask the person who paused the run how to go on."""
-        prompt = Prompt(
-            id=f"pause@{self._now_s():.3f}",
-            kind=PromptKind.CONFIRM,
-            text="Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort",
-            default="yes",
-            action={"do": "wait"},
-        )
+        """Ask the person how to go on with a run that is paused."""
         try:
-            confirm(self.person, prompt)
+            confirm(self.asker or self.person, pause_prompt(self._now_s()))
         except OperatorWish as wish:
             return wish.control
-        return RunControl(Wish.CONTINUE, by_person=True)
+        return RunControl(Wish.CONTINUE, by_person=True, who=self._answerer())
 
     def _redo(self, control: RunControl, index: int) -> int:
         """Go back to the turn of the last point, or to the first turn of its pass."""
-        doubt = self.progress.doubt
-        after = index if doubt is None else step_in_doubt(self.plan, doubt)
-        turn = turn_before(self.plan, after)
-        if turn == after:
+        found = redo_from(self.plan, self.progress, control.wish, index)
+        if found is None:
             return self._refuse(control, index, "no point was measured since the block was mounted")
-        if control.wish is not Wish.REPEAT_POINT:
-            turn = first_of_pass(self.plan, turn)
-        found = mounting_before(self.plan, turn) if control.wish is Wish.MOUNT_AGAIN else None
-        if found is not None and not self._read_between(found[0], turn):
-            turn, found = found[0], None  # nothing else was read on this mounting: it begins again
-        self._emit(EventType.REDO, first=turn, last=index - 1, wish=control.wish.value)
-        if found is not None:
-            self._insist(partial(self._workbench.mount, found[1]))
-            self._emit_remounted(found[1])
+        turn, mount = found
+        told = {"wish": control.wish.value, **control.who.to_json()}
+        self._emit(EventType.REDO, first=turn, last=index - 1, **told)
+        if mount is not None:
+            self._insist(partial(self._workbench.mount, mount))
+            self._emit_remounted(mount)
         return turn
-
-    def _read_between(self, first: int, last: int) -> bool:
-        """Whether a reading of these steps stands."""
-        return any(
-            isinstance(self.plan.steps[i], Read) and i in self.progress.done for i in range(first, last)
-        )
 
     # --- steps ---------------------------------------------------------------------------------------
 

@@ -27,34 +27,56 @@ def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
     The private key's file is for its owner alone (0600), in a folder that is (0700): one that is missing is made.
     Raises `RecordError` where there is a file already, and for a folder that others may enter.
     """
-    serialization, ed25519 = _cryptography()
+    _, ed25519 = _cryptography()
     public = file.with_name(file.name + ".pub")
-    for one in (file, public):
+    key = ed25519.Ed25519PrivateKey.generate()
+    write_private(file, key, passphrase, {public: _public_pem(key.public_key())})
+    return public, fingerprint(key.public_key())
+
+
+def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[Path, str]) -> None:
+    """Write a private key (PKCS#8, PEM) for its owner alone, and beside it the texts that everybody may read.
+
+    Raises `RecordError` where there is a file already, and for a folder that others may enter.
+    """
+    serialization, _ = _cryptography()
+    for one in (file, *beside):
         if one.exists():
             raise RecordError(f"{one}: there is a file of that name; a key is never written over")
     try:
         if not file.absolute().parent.is_dir():
             file.absolute().parent.mkdir(parents=True, mode=0o700)
         _check_folder(file)
-        key = ed25519.Ed25519PrivateKey.generate()
         cover = (
             serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
         )
         pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, cover)
         with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as private:
             private.write(pem)
-        public.write_text(_public_pem(key.public_key()), encoding="ascii")
+        for path, text in beside.items():
+            path.write_text(text, encoding="ascii")
     except OSError as error:
         raise RecordError(f"{error.filename}: cannot be written ({error.strerror})") from error
-    return public, fingerprint(key.public_key())
 
 
 def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKey:
-    """Read a private key; `passphrase` is asked for where it has one.
+    """Read the private key that signs seals; `passphrase` is asked for where it has one.
 
     Raises `RecordError` for a file that others may read, and for one that is no such key.
     """
-    serialization, ed25519 = _cryptography()
+    _, ed25519 = _cryptography()
+    key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {file}' makes one")
+    if not isinstance(key, ed25519.Ed25519PrivateKey):
+        raise RecordError(f"{file}: a key of another kind; 'bench key FILE' makes one of Ed25519")
+    return cast("Ed25519PrivateKey", key)
+
+
+def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> Any:
+    """Read a private key of any kind from a file that is its owner's alone; `wanted` says what it should be.
+
+    Raises `RecordError` for a file that others may read, and for one that is no key.
+    """
+    serialization, _ = _cryptography()
     try:
         pem = read_given(file)
         mode = file.stat().st_mode
@@ -67,14 +89,9 @@ def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKe
         )
     _check_folder(file)
     try:
-        key = _loaded(serialization, pem, passphrase)
+        return _loaded(serialization, pem, passphrase)
     except (ValueError, TypeError) as error:
-        raise RecordError(
-            f"{file}: not a private key (Ed25519, PEM), or another passphrase; 'bench key {file}' makes one"
-        ) from error
-    if not isinstance(key, ed25519.Ed25519PrivateKey):
-        raise RecordError(f"{file}: a key of another kind; 'bench key FILE' makes one of Ed25519")
-    return cast("Ed25519PrivateKey", key)
+        raise RecordError(f"{file}: not a private key ({wanted}), or another passphrase") from error
 
 
 def _loaded(serialization: Any, pem: bytes, passphrase: Callable[[], bytes]) -> Any:

@@ -60,6 +60,7 @@ class Wish(StrEnum):
     REPEAT_PASS = "redo-pass"
     MOUNT_AGAIN = "remount"
     SKIP = "skip"
+    STOP = "stop"
     ABORT = "abort"
 
 

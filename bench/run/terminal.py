@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
-import math
-from collections.abc import Callable, Collection, Mapping
-from typing import Any, Final, TextIO
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from typing import Final, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -14,16 +14,15 @@ from rich.text import Text
 from bench.base.progress import quiet
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
-from bench.run.control import SIGN, OperatorWish, parse_wish
+from bench.run.control import NOBODY_KNOWN, SIGN, Who, parse_wish, raised
 from bench.run.events import Event, EventType
+from bench.run.sentences import duration, sentence
 from bench.run.settling import Settling
 from bench.run.states import Wish
-from bench.run.typed_line import read_line
+from bench.run.time_left import TimeLeft
+from bench.run.typed_line import SLICE_S, LineReader
 from bench.run.typing_help import HELP, heard_at, typing_help
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
-
-SLOW_TO_LEARN_S: Final = 1800.0
-"""After so much bench time the pace of the run itself counts as much as the plan's expectation."""
 
 HINTS: Final = {
     PromptKind.CONFIRM: "yes/no",
@@ -35,8 +34,8 @@ class TerminalPerson:
     """Answers prompts from a text stream: a keyboard, or a file of answers.
 
     `pause` and `go_on` are called around each question, so that a progress bar does not write over it.
-    `wishes` are those that can be heard at its questions, where they are not those of a run. It is a
-    `drivers.interfaces.WatchingPerson`.
+    `wishes` are those that can be heard at its questions, where they are not those of a run; `who` is who has them.
+    It is a `drivers.interfaces.WatchingPerson`; `slice_s` is how often `meanwhile` is called.
     """
 
     def __init__(
@@ -46,10 +45,14 @@ class TerminalPerson:
         pause: Callable[[], None] = lambda: None,
         go_on: Callable[[], None] = lambda: None,
         wishes: Collection[Wish] | None = None,
+        who: Who = NOBODY_KNOWN,
     ) -> None:
         self.meanwhile: Callable[[], None] | None = None
-        self._wishes = wishes
+        self.slice_s = SLICE_S
+        self.wishes = wishes
+        self.who = who
         self._answers = answers
+        self._reader = LineReader(answers)
         self._console = console
         self._pause = pause
         self._go_on = go_on
@@ -58,10 +61,20 @@ class TerminalPerson:
                 errors="backslashreplace"
             )  # bytes that are no text are an answer that does not fit
 
+    @property
+    def by_hand(self) -> bool:
+        """Whether somebody types, and no file answers."""
+        return self._answers.isatty()
+
+    def beside(self, bar: ProgressBar) -> None:
+        """Have a progress bar taken away around each question."""
+        self._pause, self._go_on = bar.pause, bar.go_on
+
     def ask(self, prompt: Prompt) -> Answer:
         """Show the prompt and read a line.
 
-        Raises `NoAnswer` at the end of the answers, `OperatorWish` when a wish is typed instead (":redo").
+        Raises `NoAnswer` at the end of the answers, and when a wish is typed instead (":redo") `OperatorWish`, or
+        `Stopped`.
         """
         self._pause()
         try:
@@ -83,16 +96,16 @@ class TerminalPerson:
 
     def _to_extra(self, prompt: Prompt, line: str) -> str:
         """Return what is to be said to a call for help, or to what is no wish; raise `OperatorWish` for one."""
-        wishes = heard_at(prompt) if self._wishes is None else self._wishes
+        wishes = heard_at(prompt) if self.wishes is None else self.wishes
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
         if not wishes:
             return "no wish is heard at this question; answer it, or Ctrl-C"
         try:
-            wish = parse_wish(line)
+            wish = replace(parse_wish(line), who=self.who)
         except ValueError as mistake:
             return str(mistake)
-        raise OperatorWish(wish)
+        raise raised(wish)
 
     def _say(self, text: str, style: str = "", end: str = "\n") -> None:
         """Print with lines broken between words, as a terminal alone would not."""
@@ -102,7 +115,7 @@ class TerminalPerson:
         _forget_typed_ahead(self._answers)
         self._say(f"» {prompt.text}", "bold")
         self._say(f"  [{self._hint(prompt)}] ", end="")
-        line = read_line(self._answers, self.meanwhile)
+        line = self._reader.read(self.meanwhile, self.slice_s)
         if line and not self._answers.isatty():
             self._console.print(Text(line.rstrip()))  # as a keyboard would have shown it
         return line
@@ -134,8 +147,7 @@ class ProgressBar:
     def __init__(self, plan: Plan, console: Console, step_s: list[float]) -> None:
         self._plan = plan
         self._console = console
-        self._left_s = [*_running_sums(step_s), 0.0]
-        self._begun: tuple[int, float] | None = None
+        self._time_left = TimeLeft(step_s)
         self._status = ""
         self._printed = ""
         self._asked = False
@@ -172,7 +184,7 @@ class ProgressBar:
         """Take note of an event of the run."""
         if event.type == EventType.STEP_STARTED:
             index = event.step
-            left = duration(self._time_left_s(index, event.bench_s))
+            left = duration(self._time_left.at(index, event.bench_s))
             text = f"step {index + 1}/{len(self._plan.steps)}  {self._plan.steps[index].describe()}"
             self._status = f"{text}; {left} left"
             self._progress.update(self._task, description=text, completed=index, left=left)
@@ -196,15 +208,6 @@ class ProgressBar:
         moving = ", ".join(f"{spread:.2g}" for spread in state.spread)
         self._progress.update(self._task, description=f"settling: moved by {moving} in the window{left}")
 
-    def _time_left_s(self, index: int, bench_s: float) -> float:
-        """Expected time left, corrected by how long the steps so far took against what was expected."""
-        if self._begun is None:
-            self._begun = (index, bench_s)
-        first, begun_s = self._begun
-        expected_s = self._left_s[first] - self._left_s[index]
-        pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
-        return pace * self._left_s[index]
-
     def _show_reading(self, reading: Reading | None) -> None:
         """Keep the last reading on the screen, above the bar."""
         if reading and self._console.is_terminal and not quiet.get():
@@ -223,82 +226,3 @@ class ProgressBar:
         if number and line != self._printed:
             self._console.print(f"{line}  (step {index + 1}/{len(self._plan.steps)})", highlight=False)
             self._printed = line
-
-
-def sentence(event: Event) -> str:
-    """Return an event that a person should know of as one line; of any other, its type."""
-    data = event.data
-    match event.type:
-        case EventType.EARLY_SIGN:
-            return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
-        case EventType.WENT_ON:
-            return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
-        case EventType.SAME_SERIAL | EventType.CERTIFICATE:
-            return f"look: {data['words']}"
-        case EventType.STEP_FAILED:
-            return f"failed, tried again: {data['error']}"
-        case EventType.WISH_REFUSED:
-            return f"{data['wish']} is not possible: {data['why']}"
-        case EventType.CLOCK_JUMPED:
-            ahead_s = data["ahead_s"]
-            way = "ahead" if ahead_s > 0 else "back"
-            return (
-                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time was set; "
-                "what drifts went on, so take the last point again where that matters"
-            )
-        case EventType.CHAMBER_SLOW:
-            return (
-                f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
-                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
-            )
-        case EventType.POWER:
-            return _power_in_words(data)
-        case EventType.WARMED_UP if data.get("after_s") is not None:
-            return f"the block is warm, {duration(data['after_s'])} after it was switched on"
-        case EventType.REMOUNTED if data.get("why") == "power":
-            return (
-                f"the block was without power: its further readings in installation {data['installation']} are "
-                f"another visit, series {data['now_series']}"
-            )
-        case EventType.LEFT_SAFE:
-            return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
-    return event.type
-
-
-def _power_in_words(data: Mapping[str, Any]) -> str:
-    """Say what was done to the block's supply, or what was seen of it."""
-    rails = ", ".join(
-        f"{name} {rail['voltage_v']:.5g} V, {rail['current_a']:.3g} A"
-        for name, rail in data.get("rails", {}).items()
-    )
-    match data["power"]:
-        case "on":
-            return f"the block is switched on: {rails}"
-        case "found on":
-            return f"the block was found on, and as it is to be: {rails}"
-        case "off":
-            return "the block is switched off"
-        case _:
-            return f"stopped: {'; '.join(map(str, data.get('wrong', ())))}"
-
-
-def _running_sums(step_s: list[float]) -> list[float]:
-    """Time left at the beginning of each step."""
-    left: list[float] = []
-    total = 0.0
-    for seconds in reversed(step_s):
-        total += seconds
-        left.append(total)
-    return left[::-1]
-
-
-def duration(seconds: float) -> str:
-    """Return a duration as a person says it: "2 h 05 min", "3 min", "40 s"."""
-    if not math.isfinite(seconds):
-        return "for ever"
-    if seconds >= 3600:
-        minutes = round(seconds / 60)
-        return f"{minutes // 60} h {minutes % 60:02d} min"
-    if seconds >= 90:
-        return f"{round(seconds / 60)} min"
-    return f"{round(seconds)} s"

@@ -19,7 +19,8 @@ MEANINGS: Final = {
     Wish.REPEAT_PASS: "take the last pass again from its first point",
     Wish.MOUNT_AGAIN: "mount the block again, then take the last pass again",
     Wish.SKIP: "leave this point out, with the reason in the record",
-    Wish.ABORT: "end the run for good; what was read is kept ('Ctrl-C' stops it so that it can be resumed)",
+    Wish.STOP: "leave the bench safe and stop, as Ctrl-C does; 'bench resume' goes on",
+    Wish.ABORT: "end the run for good; what was read is kept",
 }
 
 _ANSWERS: Final = {
@@ -33,7 +34,7 @@ _ANSWERS: Final = {
 def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
     """Return the wishes that have something to act on at a prompt of a run."""
     if prompt.action["do"] == "ask" or (prompt.action["do"] == "mount" and prompt.choices):
-        return (Wish.PAUSE, Wish.ABORT)  # no step goes on yet, or any more
+        return (Wish.PAUSE, Wish.STOP, Wish.ABORT)  # no step goes on yet, or any more
     state = RunState.PAUSED if prompt.action["do"] == "wait" else RunState.RUNNING
     return tuple(wish for wish in Wish if wish in HEARD[state])
 

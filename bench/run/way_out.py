@@ -5,6 +5,8 @@ Nothing here raises: what one instrument does must not keep the next from being 
 
 from __future__ import annotations
 
+from bench.run.control import RunControl, Stopped
+from bench.run.events import EventType
 from bench.run.power import UnitPower
 from bench.run.workbench import Instruments
 from drivers.interfaces import BenchError, Instrument, ThermalChamber
@@ -57,3 +59,12 @@ def _of_driver(error: Exception) -> str:
 def with_notes(error: BaseException) -> str:
     """Return the sentence of an error with what was noted on it on the way out."""
     return "; ".join(filter(None, (str(error), *getattr(error, "__notes__", ()))))
+
+
+def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[EventType, dict[str, str]]:
+    """Return the event that tells what stopped a run; `wish` is the one to stop that interrupted it, if any."""
+    if isinstance(cause, Exception):
+        instrument = cause.instrument if isinstance(cause, BenchError) else ""
+        return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}
+    stop = cause.control if isinstance(cause, Stopped) else wish
+    return EventType.RUN_INTERRUPTED, {} if stop is None else stop.told()

@@ -29,11 +29,12 @@ class MountBlock(TypedDict):
 
 
 class TurnHead(TypedDict):
-    """Turn the head and read its scale."""
+    """Turn the head and read its scale; where it is stated, what is read may be `tolerance_rad` off the target."""
 
     do: Literal["turn"]
     target_rad: float
     direction: Direction
+    tolerance_rad: NotRequired[float]
 
 
 class SetChamber(TypedDict):
@@ -90,12 +91,13 @@ class PlaceLevel(TypedDict):
 
 
 class ReadLevel(TypedDict):
-    """Put a level on the platform along the shaft or across it, and read its bubble."""
+    """Put a level on the platform along the shaft or across it, and read its bubble, on ± `most_divisions`."""
 
     do: Literal["read_level"]
     axis: LevelAxis
     turned: bool
     division_rad: float
+    most_divisions: NotRequired[float]
 
 
 class LevelPlatform(TypedDict):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from drivers.angles import classic_slip, format_dms, parse_angle, wrapped_rad
+from drivers.angles import ROUNDING_RAD, format_dms, parse_angle, read_angle
 from drivers.interfaces import Direction, HeadPosition, Identity, LimitExceeded, Prompt, PromptKind
 
 if TYPE_CHECKING:
@@ -15,8 +15,6 @@ _APPROACH: Final[dict[Direction, str]] = {
     1: "approach with the angle rising, from below",
     -1: "approach with the angle falling, from above",
 }
-_ROUNDING_RAD: Final = 1e-10
-"""Keeps a reading exactly at the tolerance from being refused for the last bit of a float."""
 
 
 class ManualHead:
@@ -62,21 +60,11 @@ class ManualHead:
             if answer.prompt_id != prompt.id:
                 trouble = "That answer belonged to an earlier question."
                 continue
-            typed = answer.text.strip() or prompt.default
-            if not typed:
-                trouble = "Nothing was typed: read the scale and type what it shows."
-                continue
+            typed = answer.text.strip() or prompt.default or ""
             try:
-                read_rad = parse_angle(typed)
+                return HeadPosition(read_angle(typed, target_rad, self._tolerance_rad), direction)
             except ValueError as error:
-                trouble = f"{error}."
-                continue
-            difference_rad = wrapped_rad(read_rad - target_rad)
-            if abs(difference_rad) <= self._tolerance_rad + _ROUNDING_RAD:
-                # The scale ends at 360°: 0°00′03″ read for a target of 360° is 360°00′03″.
-                turns = round((target_rad + difference_rad - read_rad) / math.tau)
-                return HeadPosition(read_rad + turns * math.tau, direction)
-            trouble = self._disagreement(read_rad, target_rad, difference_rad)
+                trouble = str(error)
         raise LimitExceeded(
             self.name,
             f"no reading within {format_dms(self._tolerance_rad)} of {_scale_text(target_rad)} "
@@ -95,18 +83,12 @@ class ManualHead:
             text=f"{trouble} {task}".lstrip(),
             default=target if self._enter_accepts_target else None,
             unit="° ′ ″",
-            action={"do": "turn", "target_rad": target_rad, "direction": direction},
-        )
-
-    def _disagreement(self, read_rad: float, target_rad: float, difference_rad: float) -> str:
-        read = f"{format_dms(read_rad)} is {format_dms(abs(difference_rad))}"
-        side = "above" if difference_rad > 0.0 else "below"
-        slip = classic_slip(read_rad, target_rad, self._tolerance_rad)
-        if slip is not None:
-            return f"{read} {side} the target: probably {slip}."
-        return (
-            f"{read} {side} the target, outside the {format_dms(self._tolerance_rad)} allowed: "
-            "turn the head until it agrees."
+            action={
+                "do": "turn",
+                "target_rad": target_rad,
+                "direction": direction,
+                "tolerance_rad": self._tolerance_rad,
+            },
         )
 
 
@@ -115,6 +97,6 @@ def _scale_text(angle_rad: float) -> str:
     shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
     for decimals in range(3):
         text = format_dms(shown_rad, decimals)
-        if abs(parse_angle(text) - shown_rad) < _ROUNDING_RAD:
+        if abs(parse_angle(text) - shown_rad) < ROUNDING_RAD:
             return text
     return format_dms(shown_rad, 3)

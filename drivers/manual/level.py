@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import re
 from typing import TYPE_CHECKING, Final
 
 from drivers.interfaces import BadReading, Identity, Inclination, LevelAxis, LevelSizes, Prompt, PromptKind
+from drivers.typed import typed_bubble
 
 if TYPE_CHECKING:
     from drivers.interfaces import Person
 
-_ARCSEC: Final = math.pi / 648000.0
-_TYPED: Final = re.compile(r"([+-]?\d{1,4}(?:[.,]\d+)?)\s*(arcsec|sec|\"|''|″)?")
 _MAX_ATTEMPTS: Final = 5
 _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
     ("along", False): "along the shaft, its marked end away from you",
@@ -85,21 +82,17 @@ class ManualLevel:
                     "axis": axis,
                     "turned": turned,
                     "division_rad": self._division_rad,
+                    "most_divisions": most,
                 },
             )
             answer = self._person.ask(prompt)
-            typed = answer.text.strip().replace("−", "-").lower()
-            match = _TYPED.fullmatch(typed.removesuffix("divisions").strip())
-            if answer.prompt_id != prompt.id or match is None:
-                trouble = "That was not a number of divisions such as -1.5."
+            if answer.prompt_id != prompt.id:
+                trouble = "That answer belonged to an earlier question."
                 continue
-            value = float(match[1].replace(",", "."))
-            read_rad = value * (_ARCSEC if match[2] else self._division_rad)
-            if abs(read_rad) <= (most + 1e-9) * self._division_rad:
-                return read_rad
-            trouble = (
-                f"{typed} is off the vial's scale of ±{most:g} divisions: level the platform, or read again."
-            )
+            try:
+                return typed_bubble(answer.text, self._division_rad, most)
+            except ValueError as error:
+                trouble = str(error)
         raise BadReading(
             self.name,
             f"no reading on its scale in {_MAX_ATTEMPTS} attempts ({trouble.rstrip('.')})",

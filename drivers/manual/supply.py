@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -18,11 +17,11 @@ from drivers.interfaces import (
     SetOtherwise,
     SupplyLimits,
 )
+from drivers.typed import SupplyUnit, typed_supply
 
 if TYPE_CHECKING:
     from drivers.interfaces import Action, Person
 
-_NUMBER: Final = re.compile(r"([+-]?\d{1,4}(?:[.,]\d+)?)\s*(?:V|A)?", re.IGNORECASE)
 _SWITCH: Final = ("off", "on")
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
 _MAX_ATTEMPTS: Final = 5
@@ -32,7 +31,7 @@ _DEAD: Final = 0.02
 """An output that gives less than this part of its voltage while it is on is taken to have been switched off."""
 
 Quantity = Literal["set_voltage", "current_limit", "voltage", "current"]
-_CALLED: Final[dict[Quantity, tuple[str, str]]] = {
+_CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
     "set_voltage": ("the voltage that output {} is set to", "V"),
     "current_limit": ("the current limit of output {}", "A"),
     "voltage": ("the voltage that output {} gives", "V"),
@@ -219,9 +218,10 @@ class ManualSupply:
                 unit=unit,
                 attempt=attempt,
             )
-            if match := _NUMBER.fullmatch(text):
-                return float(match[1].replace(",", "."))
-            trouble = f"That was not a number such as 15.0 {unit}. "
+            try:
+                return typed_supply(text, unit)
+            except ValueError as error:
+                trouble = f"{error} "
         raise BadReading(
             self.name,
             f"no number for {called.format(output)} in {_MAX_ATTEMPTS} attempts",

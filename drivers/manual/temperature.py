@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import Final
 
 from drivers.interfaces import Person, Prompt, PromptKind
+from drivers.typed import typed_temperature
 
 ATTEMPTS: Final = 5
-_NUMBER: Final = re.compile(r"([+-]?\d{1,4}(?:[.,]\d+)?)\s*°?\s*[cC]?")
 
 
 def ask_temperature(
@@ -31,11 +30,14 @@ def ask_temperature(
             action={"do": "read_temperature"},
         )
         answer = person.ask(prompt)
-        match = _NUMBER.fullmatch(answer.text.strip().replace("−", "-"))
-        if answer.prompt_id != prompt.id or match is None:
-            trouble = "That was not a temperature such as 23.5."
+        if answer.prompt_id != prompt.id:
+            trouble = "That answer belonged to an earlier question."
             continue
-        temperature_c = float(match[1].replace(",", "."))
+        try:
+            temperature_c = typed_temperature(answer.text)
+        except ValueError as error:
+            trouble = str(error)
+            continue
         if low_c <= temperature_c <= high_c:
             return temperature_c
         trouble = f"{temperature_c:g} °C {outside.format(low=low_c, high=high_c)}."

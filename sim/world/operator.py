@@ -111,6 +111,13 @@ class ScriptedOperator:
         self._turned_for = None
         return _confirmation(prompt)
 
+    def turn_to(self, prompt_id: str, angle_rad: float, direction: Direction) -> None:
+        """Turn the head until its scale shows `angle_rad`, in the time that the person takes for this turn."""
+        generator = self._generator("turn", prompt_id.partition("#")[0])
+        generator.normal()  # the deviation of a setting, which is not this person's
+        self._pass_time(float(generator.uniform(*self._settings.turn_time_s)))
+        self._world.turn(angle_rad, direction)
+
     def _turn(self, prompt_id: str, target_rad: float, direction: Direction) -> str:
         step, _, attempt = prompt_id.partition("#")
         settings = self._settings

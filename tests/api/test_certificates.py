@@ -22,7 +22,7 @@ from bench.procedure.load import load_procedure
 from bench.readings.corrected import corrected
 from bench.readings.csv import write_csv
 from bench.run.manifest import sha256
-from bench.run.terminal import sentence
+from bench.run.sentences import sentence
 from tests.support.certified_bench import meter_certificate, table_certificate, write_bench
 from tests.support.diagnosis_bench import paper_run
 from tests.support.paper_bench import TRUTH, U0, K, simulate
@@ -182,7 +182,7 @@ def test_simulated_readings_are_corrected_where_the_simulation_had_the_error(sho
 
 @pytest.mark.slow
 def test_what_is_left_of_the_meters_errors_is_as_large_as_the_budget_says():
-    """400 files: true gains and zeros drawn about the certificates' values, by U and a drift since (seed 17)."""
+    """150 files: true gains and zeros drawn about the certificates' values, by U and a drift since (seed 17)."""
     rng = np.random.default_rng(17)
     bench = program.load_bench(write_bench(Path(), METERS))
     setup = make_setup(load_procedure(find_procedure("paper")).expand(), bench)
@@ -195,14 +195,14 @@ def test_what_is_left_of_the_meters_errors_is_as_large_as_the_budget_says():
     by = corrections_of(bench)
     of_diagonal = np.array([0, 4, 8, 9, 10, 11])
     z = []
-    for _ in range(400):
+    for _ in range(150):
         gain, offset_v = -np.array(by.gain), -np.array(by.offset_v)
         gain = gain + rng.normal(0.0, 3e-6, 3) + rng.uniform(-8e-6, 8e-6, 3)
         offset_v = offset_v + rng.normal(0.0, 5e-6, 3) + rng.uniform(-12e-6, 12e-6, 3)
         shown = replace(true, signal=true.signal * (1.0 + gain) + offset_v)
         found = estimate(corrected(shown, by), setup.model, {}, 9.81, "closed-form")
         z.append((found.block.vector - TRUTH)[of_diagonal] / u[of_diagonal])
-    assert np.sqrt(np.mean(np.square(z), axis=0)) == pytest.approx(1.0, abs=0.11)  # 3 sigma of 400
+    assert np.sqrt(np.mean(np.square(z), axis=0)) == pytest.approx(1.0, abs=0.173)  # 3 sigma of 150
 
 
 @pytest.mark.slow

@@ -71,8 +71,7 @@ def test_a_frame_is_read_as_strictly_as_its_file(readings):
 
 
 @pytest.mark.slow
-def test_verification_and_diagnosis_are_those_of_the_commands(bench, readings, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(Path("cache").absolute()))
+def test_verification_and_diagnosis_are_those_of_the_commands(bench, readings):
     verdict = program.verify(readings, rule="guarded", limit=2e-4)
     _, out, _ = bench("verify", "r.csv", "--rule", "guarded", "--limit", "2e-4", "--json", "-")
     assert verdict.to_dict() == json.loads(out)

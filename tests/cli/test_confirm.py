@@ -20,8 +20,7 @@ effects:
 
 
 @pytest.fixture(autouse=True)
-def found(monkeypatch, tmp_path_factory, empty_folder):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "confirm-cache"))
+def found(empty_folder):
     Path("found.yaml").write_text(MODEL, encoding="utf-8")
 
 

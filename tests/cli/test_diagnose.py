@@ -25,17 +25,6 @@ effects:
 """
 
 
-@pytest.fixture(scope="module")
-def caches(tmp_path_factory):
-    return tmp_path_factory.mktemp("caches")
-
-
-@pytest.fixture(autouse=True)
-def own_cache(monkeypatch, caches):
-    """Thresholds are kept from test to test, and not among those of the user."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
-
-
 def measured(name, seed, **hidden):
     """Write a readings file of the independent simulation in support/paper_bench.py."""
     write_csv(paper_run(np.random.default_rng(seed), directions=BOTH_WAYS, **hidden), Path(name))

@@ -20,6 +20,7 @@ def still(path, noise=1e-4, n=2000):
 
 
 @pytest.mark.slow
+@pytest.mark.figures
 def test_the_real_record_is_analysed_written_and_drawn(bench, tmp_path):
     status, out, err = bench("stability", DATA / "ln100-up.csv", "--out", tmp_path, "--json", "found.json")
     assert (status, err) == (0, "")

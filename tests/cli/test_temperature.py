@@ -79,12 +79,14 @@ def test_mistakes_are_one_line_each(bench, readings, options, told):
 
 
 @pytest.mark.slow
-def test_calibrate_points_to_compensate_where_temperatures_are_mixed(bench, readings, tmp_path):
-    _, out, _ = bench("calibrate", readings)
+def test_calibrate_points_to_compensate_where_temperatures_are_mixed(bench, polynomials, tmp_path):
+    three = simulate(np.random.default_rng([SEED, 4]), polynomials, cycle=(-20.0, 23.0, 55.0), passes=2)
+    write_csv(three, tmp_path / "three.csv")
+    _, out, _ = bench("calibrate", "three.csv")
     assert (
-        "readings span 75 K at 5 temperatures, and these coefficients mix them: see bench compensate" in out
+        "readings span 75 K at 3 temperatures, and these coefficients mix them: see bench compensate" in out
     )
-    bench("report", readings)
+    bench("report", "three.csv")
     (page,) = tmp_path.rglob("*.html")
     assert "these coefficients mix them" in page.read_text(encoding="utf-8")
     one = simulate(np.random.default_rng([SEED, 3]), TRUTH[:, None], cycle=(23.0,))

@@ -62,7 +62,12 @@ def test_the_angle_read_comes_back_not_the_target() -> None:
     assert prompt.id == "12/turn#1"
     assert prompt.kind is PromptKind.ANGLE
     assert prompt.default == "45°00′00″"
-    assert prompt.action == {"do": "turn", "target_rad": math.radians(45.0), "direction": 1}
+    assert prompt.action == {
+        "do": "turn",
+        "target_rad": math.radians(45.0),
+        "direction": 1,
+        "tolerance_rad": pytest.approx(30 * SECOND),
+    }
     assert "45°00′00″" in prompt.text
     assert "approach with the angle rising, from below; clamp; read again" in prompt.text
 

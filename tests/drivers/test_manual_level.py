@@ -35,6 +35,7 @@ def test_divisions_are_counted_as_angles():
     assert "to your right" in across.text
     assert along.action == {
         "do": "read_level", "axis": "along", "turned": False, "division_rad": 4 * ARCSEC,
+        "most_divisions": 10.0,
     }  # fmt: skip
 
 

@@ -44,6 +44,8 @@ def test_copies_are_written_once(tmp_path):
     assert {path.relative_to(tmp_path).as_posix() for path in written} == {
         *(f"procedures/{path.name}" for path in find_procedure("paper").parent.glob("*.yaml")),
         *(f"config/{path.name}" for path in find_bench("paper-stand").parent.glob("*.yaml")),
+        "config/certificate/laboratory.yaml",
+        "config/certificate/order.yaml",
     }
     assert written[-1].read_bytes() == find_bench(written[-1].stem).read_bytes()
     edited = tmp_path / "config" / "bench-gpib.yaml"

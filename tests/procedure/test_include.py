@@ -9,7 +9,7 @@ from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.procedure.check import check
 from bench.procedure.load import load_procedure
-from bench.run.terminal import duration
+from bench.run.sentences import duration
 
 HEAD = "procedure: x\nsteps:\n"
 WAIT = "steps: [{wait: {for: 1 s}}]\n"

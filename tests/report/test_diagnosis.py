@@ -34,9 +34,8 @@ def page_of(folder, seed, **hidden):
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory):
+def cache():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.delenv("BENCH_FILE", raising=False)
         yield
 

@@ -4,7 +4,7 @@ import pytest
 
 from bench.procedure.plan import Plan, SetTemperature, Settle, Wait
 from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
-from bench.run.terminal import sentence
+from bench.run.sentences import sentence
 from drivers.interfaces import InstrumentLost
 from sim.world.clock import VirtualClock
 from tests.run.test_way_out import Chamber, with_chamber

@@ -14,7 +14,7 @@ from bench.run.power import WATCH_S, RailFault
 from bench.run.signals import Interrupts
 from bench.run.states import RunState, Wish
 from bench.run.terminal import ProgressBar, TerminalPerson
-from bench.run.typed_line import read_line
+from bench.run.typed_line import LineReader
 from benchmarks import supply_trials
 from benchmarks.fault_trials import command
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
@@ -97,7 +97,7 @@ def test_lines_of_a_pipe_are_read_one_by_one_and_its_end_is_nobody(monkeypatch):
         person.meanwhile = lambda: looks.append(1) or os.close(into)
         assert [person.ask(QUESTION).text for _ in range(2)] == ["yes", "45°00′"]
         assert looks == []
-        assert read_line(answers, person.meanwhile) == "half"
+        assert LineReader(answers).read(person.meanwhile) == "half"
         assert looks == [1]
         with pytest.raises(NoAnswer):
             person.ask(QUESTION)

@@ -108,6 +108,7 @@ def _noise_looked_at(task: _Task, looked: Looked, naming: Naming) -> tuple[Looke
     """Look for all again where what is left has heavy tails, and where its channels differ."""
     if looked.whitened.grid.known:
         return looked, naming
+    looked, naming = _own_sizes_instead(task, looked, naming)
     noise = noise_size(looked.whitened, looked.data, naming.columns)
     if noise.reading < TOO_LARGE * looked.repeats.sigma:
         again = _prepared(task, looked.linear, looked.limit, noise.reading)
@@ -119,12 +120,26 @@ def _noise_looked_at(task: _Task, looked: Looked, naming: Naming) -> tuple[Looke
         less = replace(looked.linear, response=looked.linear.response + weighed.pull)
         again = _prepared(task, less, looked.limit, noise.reading)
         looked, naming = _straight(task, replace(again, bend=looked.bend, weighed=weighed))
-    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming)
+    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming.columns).sizes
     if np.max(np.abs(np.log(sizes / looked.linear.by_channel))) < SAME_SIZE:
         return looked, naming
     noise = noise_size(looked.whitened, looked.data, naming.columns)
     again = _prepared(task, replace(looked.linear, by_channel=sizes), most=noise.reading)
     return _straight(task, replace(again, bend=looked.bend, weighed=looked.weighed))
+
+
+def _own_sizes_instead(task: _Task, looked: Looked, naming: Naming) -> tuple[Looked, Naming]:
+    """Look for all again where channels with noise of their own sizes explain more than all that was found.
+
+    A channel with more noise than the others looks as if something were missing in it alone, and what takes that up
+    leaves the channels alike. What is really missing is the better explanation by far: it knows where and when.
+    """
+    if not naming.found or np.any(looked.linear.by_channel != 1.0):
+        return looked, naming
+    told = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, ())
+    if told.evidence < sum(found.total for found in naming.found):
+        return looked, naming
+    return _straight(task, _prepared(task, replace(looked.linear, by_channel=told.sizes)))
 
 
 def _closer(task: _Task, looked: Looked, naming: Naming) -> Naming:

@@ -83,7 +83,7 @@ def look_at_runs(
         less = replace(looked.linear, response=looked.linear.response + weighed.pull)
         looked, naming = _looked(less, resolution, replace(each, pull=weighed.pull))
         looked = replace(looked, weighed=weighed)
-    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming)
+    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming.columns).sizes
     if np.max(np.abs(np.log(sizes))) < SAME_SIZE:
         return looked, naming
     pull = None if weighed is None else weighed.pull

@@ -118,6 +118,8 @@ class EarlyWarning:
         self._mounted_anew = True
         self._in_a_row = 0
         self._moved: tuple[Sighting, Suspect] | None = None
+        self.judged: Judgement | None = None
+        """How the reading taken last was judged against those before it; None for one that was passed over."""
 
     @property
     def noise(self) -> NoiseSizes:
@@ -160,6 +162,7 @@ class EarlyWarning:
         Those without a known orientation (free, shorted, reference; no angle; an installation that the model
         lacks) are passed over. A reading taken again takes the place of the earlier one.
         """
+        self.judged = None
         if reading.angle_deg is None or reading.installation not in self._oriented:
             return []
         self._replace_earlier(reading)
@@ -168,7 +171,7 @@ class EarlyWarning:
         if sighting.new_mount:
             self._state.remount(self._stand_u)
         self._state.loosen(sighting.loosened)
-        judged = self._state.judge(sighting.signal_v, sighting.pose, self.noise)
+        self.judged = judged = self._state.judge(sighting.signal_v, sighting.pose, self.noise)
         noise_v = math.hypot(self.noise.reading_v, self.noise.setting_rad * float(np.max(self._scale)))
         sighting.poorly_known = bool(
             np.max(judged.covariance.diagonal(0, 1, 2)) > (POORLY_KNOWN * noise_v) ** 2

@@ -39,6 +39,11 @@ class Watcher:
         """Judge a reading; return what is to be told of it."""
         return self._warning.take(reading)
 
+    @property
+    def judged(self) -> Judgement | None:
+        """How the reading taken last was judged; None for one without a known orientation."""
+        return self._warning.judged
+
     def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: Progress) -> None:
         """Take the readings on record of a run that is taken up again.
 

@@ -11,14 +11,14 @@ from tests.support.honest_runs import MODEL, simulate_many
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH, simulate
 
 CONDITIONS = simulate(None, 0.0).conditions()
-RUNS = 4_000
+RUNS = 2_000
 STATISTICS = 4 / np.sqrt(2 * RUNS)
 """Four standard errors of a standard deviation, relative."""
 
 
 @pytest.fixture(scope="module", params=[1e-4, 2e-5], ids=["0.1 mV", "20 uV"])
 def level(request):
-    """4,000 runs, seeds 77 and 78; the bound from the derivatives of the independent geometry, sizes known."""
+    """2,000 runs, seeds 77 and 78; the bound from the derivatives of the independent geometry, sizes known."""
     noise_v = request.param
     batch = calibrate_batch(
         simulate_many({1e-4: 77, 2e-5: 78}[noise_v], RUNS, noise_v), CONDITIONS, MODEL, STAND_U
@@ -30,7 +30,7 @@ def level(request):
 
 @pytest.mark.slow
 def test_the_spread_is_the_stated_uncertainty(level):
-    """Promised: within 4 %; what 4,000 runs can tell comes on top. More in benchmarks/honest_uncertainty.py."""
+    """Promised: within 4 %; what 2,000 runs can tell comes on top. More in benchmarks/honest_uncertainty.py."""
     _, batch, _ = level
     spread = np.std(batch.coefficients - TRUTH, axis=0)
     stated = np.sqrt(np.mean(batch.u**2, axis=0))
@@ -63,8 +63,8 @@ def test_known_sizes_reach_the_bound(level):
 
 @pytest.mark.parametrize("noise_v", [1e-4, 2e-5])
 def test_it_agrees_with_the_loop(noise_v):
-    """30 runs, seeds [5, k]: a thousandth of u."""
-    tables = [simulate(np.random.default_rng([5, k]), noise_v) for k in range(30)]
+    """12 runs, seeds [5, k]: a thousandth of u."""
+    tables = [simulate(np.random.default_rng([5, k]), noise_v) for k in range(12)]
     batch = calibrate_batch(np.array([t.signal for t in tables]), CONDITIONS, MODEL, STAND_U)
     for i, table in enumerate(tables):
         one = calibrate(table, MODEL, STAND_U, 9.81, find_shared=False)

@@ -13,7 +13,7 @@ from bench.readings.csv import write_csv
 from tests.support.honest_runs import MODEL
 from tests.support.paper_bench import STAND_U, TRUTH, simulate
 
-RUNS = 100
+RUNS = 50
 
 
 def run(seed, noise_v=1e-4, passes=3):
@@ -26,7 +26,7 @@ def robust(readings):
 
 @pytest.fixture(scope="module")
 def clean():
-    """Both estimates of 100 clean runs, seeds [61, k]."""
+    """Both estimates of 50 clean runs, seeds [61, k]."""
     tables = [run([61, k]) for k in range(RUNS)]
     return [(robust(t), calibrate(t, MODEL, STAND_U, 9.81)) for t in tables]
 

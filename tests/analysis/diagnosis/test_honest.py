@@ -37,9 +37,8 @@ class Fixed(ThresholdCache):
 
 
 @pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory):
+def no_bench_file():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.delenv("BENCH_FILE", raising=False)
         yield
 

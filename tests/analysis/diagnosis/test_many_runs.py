@@ -10,6 +10,7 @@ from bench.analysis.diagnosis.joint import make_system, with_blocks
 from bench.analysis.diagnosis.linear import make_linear
 from bench.analysis.diagnosis.runs import candidates_of
 from bench.analysis.diagnosis.threshold import Threshold
+from bench.base.cache import cache_folder
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.joined import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, U0, K, paper_run
@@ -37,8 +38,8 @@ def other_block(table, rng):
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return ThresholdCache(tmp_path_factory.mktemp("thresholds"))
+def cache():
+    return ThresholdCache(cache_folder("thresholds"))
 
 
 def test_one_system_of_one_block_has_twelve_coefficients_of_two_has_twenty_four():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.channels import by_channel
@@ -60,9 +61,21 @@ def test_sizes_of_channels_are_found_and_equal_ones_are_equal():
     n = 600
     white, none, cells = rng.normal(size=(n, 3)), np.zeros((n, 3)), np.arange(n) % 18
     sizes = SIZES / np.sqrt(np.mean(SIZES**2))
-    found = by_channel(white * SIZES * 1e-5, np.ones(n), none, cells, 1e-12)
+    found = by_channel(white * SIZES * 1e-5, np.ones(n), none, cells, 1e-12).sizes
     np.testing.assert_allclose(found, sizes, rtol=4 / np.sqrt(2 * n))
-    np.testing.assert_array_equal(by_channel(white * 1e-5, np.ones(n), none, cells, 1e-12), 1.0)
+    np.testing.assert_array_equal(by_channel(white * 1e-5, np.ones(n), none, cells, 1e-12).sizes, 1.0)
+
+
+def test_odds_of_own_sizes_outweigh_small_effects_where_sizes_differ_and_never_where_they_do_not():
+    """54 settings as in the paper, seeds [15, k]; -ln p - ln 54 of equal noise is above 0 in 1 of 54."""
+    n = 54
+    none, cells = np.zeros((n, 3)), np.arange(n) % 18
+    white = [np.random.default_rng([15, k]).normal(size=(n, 3)) for k in range(200)]
+    equal = np.array([by_channel(w * 1e-5, np.ones(n), none, cells, 1e-12).evidence for w in white])
+    assert stats.binom.ppf(1e-4, 200, 1 / n) <= np.sum(equal > 0.0) <= stats.binom.ppf(1 - 1e-4, 200, 1 / n)
+    assert np.max(equal) < 6.0  # chance goes there once in 20,000 runs
+    own = [by_channel(w * [9e-6, 15e-6, 33e-6], np.ones(n), none, cells, 1e-12).evidence for w in white[:50]]
+    assert np.min(own) > 6.0
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Simulation beside bench: what is simulated again, how it is tested, and what a rival would change."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ from bench.analysis.calibration import calibrate, verify
 from bench.analysis.diagnosis import ThresholdCache, diagnose
 from bench.analysis.diagnosis.alternatives import rivals
 from bench.analysis.diagnosis.show import label, show
+from bench.base.cache import cache_folder
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
 from tests.support.paper_bench import STAND_U
@@ -93,9 +92,9 @@ def test_an_effect_that_only_verification_points_show_lets_them_take_part():
 
 
 @pytest.mark.slow
-def test_a_rival_changes_the_coefficients_as_a_calibration_with_it_does(tmp_path):
+def test_a_rival_changes_the_coefficients_as_a_calibration_with_it_does():
     readings = paper_run(np.random.default_rng(7), K2=(0.0, 6e-5, 0.0), verification=False)
-    diagnosis = diagnose(readings, MODEL, STAND, None, ThresholdCache(Path(tmp_path)))
+    diagnosis = diagnose(readings, MODEL, STAND, None, ThresholdCache(cache_folder("thresholds")))
     (ranked,) = rivals(diagnosis, STAND["setting_error"])
     by_name = {rival.family: rival for rival in ranked}
     assert ranked[0].family == diagnosis.effects[0].name == "quadratic_nonlinearity"

@@ -88,7 +88,7 @@ def channels(order, signs=(1, 1, 1)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 120), (2e-5, 60)])
+@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 60), (2e-5, 40)])
 def test_good_runs_are_silent(noise_v, runs):
     """No more alarms than 1 % of runs would give but once in a thousand times."""
     alarms = sum(bool(watch(run_of([7, k], noise_v))) for k in range(runs))
@@ -115,7 +115,7 @@ def test_noise_as_large_as_stated_is_found_to_be_so():
         ([2, 0, 1], "x shows z, y shows x, z shows y"),
     ],
 )
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_swapped_channels_are_seen_by_point_3_and_named(order, cause, seed):
     signs = watch(run_of(seed, wired=channels(order)))
     assert signs[0][0] <= 3
@@ -162,8 +162,7 @@ def test_a_mount_that_slips_between_passes_is_seen_at_once_and_told_until_it_is_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("number", [6, 14, 32, 41])
+@pytest.mark.parametrize(("number", "seed"), [(6, 1), (14, 2), (32, 3), (41, 4)])
 @pytest.mark.parametrize(("name", "off_deg"), [("1°", 1.0), ("1°", -1.0), ("10′", 1 / 6), ("10°", -10.0)])
 def test_one_wrong_setting_is_seen_and_named_and_spoils_nothing(number, name, off_deg, seed):
     signs = watch(run_of(seed, off_rad=at(number, np.radians(off_deg))))

@@ -1,0 +1,266 @@
+"""The whole document of a certificate, and its ring of administrative data."""
+
+from __future__ import annotations
+
+import base64
+import datetime
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Final
+
+from lxml import etree
+
+from bench.certificate.content import Attached, Before, Certificate, Issue
+from bench.certificate.dcc.nodes import NAMESPACES, VERSION, Node, node, plain, said
+from bench.certificate.dcc.results import measurement_results
+from bench.certificate.laboratory import Contact, Laboratory
+from bench.certificate.order import Order, UnitOrder
+from bench.certificate.texts import Texts
+
+_XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
+_PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
+
+_ALWAYS: Final = ("statement_item", "statement_reproduction", "statement_recalibration")
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """A certificate with all that a machine-readable one must have."""
+
+    certificate: Certificate
+    laboratory: Laboratory
+    order: Order
+    unit: UnitOrder
+    issue: Issue
+    days: tuple[datetime.date, datetime.date]
+
+    @property
+    def texts(self) -> tuple[Texts, ...]:
+        return self.certificate.texts
+
+
+def _whole(certificate: Certificate) -> _Whole:
+    laboratory, order, unit, issue, days = (
+        certificate.laboratory, certificate.order, certificate.unit, certificate.issue, certificate.calibrated,
+    )  # fmt: skip
+    if laboratory is None or order is None or unit is None or issue is None or days is None:
+        raise ValueError("a machine-readable certificate has a laboratory, an order, days and a number")
+    return _Whole(certificate, laboratory, order, unit, issue, days)
+
+
+def document_of(certificate: Certificate) -> bytes:
+    """Return the document of a certificate that has a number, unsigned: the same bytes for the same certificate.
+
+    Raises `ValueError` for a draft, or where laboratory, order or unit are not stated.
+    """
+    whole = _whole(certificate)
+    laboratory, order = whole.laboratory, whole.order
+    root = etree.Element(
+        f"{{{NAMESPACES['dcc']}}}digitalCalibrationCertificate", nsmap={**NAMESPACES, "xsi": _XSI}
+    )
+    root.set("schemaVersion", VERSION)
+    root.set(f"{{{_XSI}}}schemaLocation", _PLACE)
+    root.append(
+        node(
+            "dcc:administrativeData",
+            node("dcc:dccSoftware", software()),
+            _core(whole),
+            _items(whole),
+            node(
+                "dcc:calibrationLaboratory",
+                None
+                if laboratory.accreditation is None
+                else node("dcc:calibrationLaboratoryCode", laboratory.accreditation.number),
+                contact("dcc:contact", laboratory),
+            ),
+            node("dcc:respPersons", *_persons(whole)),
+            contact("dcc:customer", order.customer),
+            node("dcc:statements", *_statements(whole)),
+        )
+    )
+    root.append(measurement_results(certificate))
+    etree.cleanup_namespaces(root, top_nsmap={**NAMESPACES, "xsi": _XSI})
+    etree.indent(root, " ")
+    return bytes(etree.tostring(root, xml_declaration=True, encoding="UTF-8")) + b"\n"
+
+
+def software() -> Node:
+    """Return this program as a DCC names software."""
+    return node(
+        "dcc:software",
+        node("dcc:name", plain("triaxial-bench")),
+        node("dcc:release", metadata.version("triaxial-bench")),
+        node("dcc:type", "application"),
+    )
+
+
+def contact(name: str, of: Contact) -> Node:
+    """Return a company with its address."""
+    address = of.address
+    return node(
+        name,
+        node("dcc:name", plain(of.name)),
+        None if of.email is None else node("dcc:eMail", of.email),
+        None if of.phone is None else node("dcc:phone", of.phone),
+        node(
+            "dcc:location",
+            node("dcc:street", address.street),
+            node("dcc:postCode", address.post_code),
+            node("dcc:city", address.city),
+            node("dcc:countryCode", address.country),
+        ),
+    )
+
+
+def _core(whole: _Whole) -> Node:
+    issue, order, days = whole.issue, whole.order, whole.days
+    languages = [one.language for one in whole.texts]
+    return node(
+        "dcc:coreData",
+        node("dcc:countryCodeISO3166_1", whole.laboratory.address.country),
+        *(node("dcc:usedLangCodeISO639_1", one) for one in languages),
+        node("dcc:mandatoryLangCodeISO639_1", languages[0]),
+        node("dcc:uniqueIdentifier", issue.number),
+        node("dcc:identifications", _identification(whole, "customer", order.number, "order")),
+        node("dcc:receiptDate", str(whole.unit.received)),
+        node("dcc:beginPerformanceDate", str(days[0])),
+        node("dcc:endPerformanceDate", str(days[1])),
+        node("dcc:performanceLocation", "laboratory" if order.place is None else "other"),
+        node("dcc:issueDate", issue.day),
+        *(_before(whole, issue.before) if issue.before else ()),
+    )
+
+
+def _before(whole: _Whole, before: Before) -> Iterator[Node]:
+    yield node(
+        "dcc:reportAmendedSubstituted",
+        node("dcc:typeOfChange", "amended" if before.kind == "amended" else "substituted"),
+        node("dcc:replacedUniqueIdentifier", before.number),
+    )
+    yield node(
+        "dcc:previousReport",
+        node("dcc:referral", *said(whole.texts, "title")),
+        node("dcc:referralID", before.number),
+        node("dcc:procedure", "SHA-256"),
+        node("dcc:value", before.sha256),
+        node("dcc:description", plain(before.reason)),
+    )
+
+
+def _identification(whole: _Whole, issuer: str, value: str, key: str) -> Node:
+    return node(
+        "dcc:identification",
+        node("dcc:issuer", issuer),
+        node("dcc:value", value),
+        node("dcc:name", *said(whole.texts, key)),
+    )
+
+
+def _items(whole: _Whole) -> Node:
+    item, unit = whole.certificate.found.item, whole.unit
+    reference, maker = unit.reference, unit.manufacturer
+    return node(
+        "dcc:items",
+        node(
+            "dcc:item",
+            node("dcc:name", plain(item.type)),
+            node(
+                "dcc:description",
+                node("dcc:name", *said(whole.texts, "condition")),
+                plain(unit.condition),
+            ),
+            None if maker is None else node("dcc:manufacturer", node("dcc:name", plain(maker))),
+            node("dcc:model", item.type),
+            node(
+                "dcc:identifications",
+                _identification(whole, "manufacturer", item.serial, "serial"),
+                None if reference is None else _identification(whole, "customer", reference, "reference"),
+            ),
+            id="item",
+        ),
+    )
+
+
+def _persons(whole: _Whole) -> Iterator[Node]:
+    who, operator = whole.issue.authorised_by, whole.certificate.found.operator
+    yield node(
+        "dcc:respPerson",
+        node("dcc:person", node("dcc:name", plain(who.name))),
+        None if who.role is None else node("dcc:role", who.role),
+        node("dcc:mainSigner", "true"),
+    )
+    if operator:
+        yield node(
+            "dcc:respPerson",
+            node("dcc:person", node("dcc:name", plain(operator))),
+            node("dcc:role", "operator"),
+            node("dcc:mainSigner", "false"),
+        )
+
+
+def _statements(whole: _Whole) -> Iterator[Node]:
+    certificate, texts, order, unit = whole.certificate, whole.texts, whole.order, whole.unit
+    if certificate.simulated:
+        yield _statement("simulated", *said(texts, "simulated"))
+    for key in _ALWAYS:
+        yield _statement(key, *said(texts, key))
+    traceable = certificate.valid_instruments and not certificate.simulated
+    reason = order.without_certificates
+    yield node(
+        "dcc:statement",
+        node("dcc:name", *said(texts, "traceability")),
+        node("dcc:traceable", "true" if traceable else "false"),
+        node(
+            "dcc:declaration",
+            *said(texts, "traceability_text"),
+            *(() if reason is None else said(texts, "untraced_text", reason=reason)),
+        ),
+        refType="bench_traceability",
+    )
+    yield _statement("state", *said(texts, unit.state.replace(" ", "_")), name=said(texts, "state"))
+    stated = [("place", certificate.place), ("environment", whole.laboratory.environment)]
+    stated += [("adjusted", unit.adjusted.what)] if unit.adjusted is not None else []
+    stated += [("deviations", text) for text in unit.deviations]
+    stated += [("agreed", text) for text in order.agreed]
+    for key, text in stated:
+        if text:
+            yield _statement(key, plain(text), name=said(texts, key))
+    yield _record(certificate)
+
+
+def _statement(ref: str, *words: Node, name: Iterable[Node] = ()) -> Node:
+    heading = tuple(name)
+    return node(
+        "dcc:statement",
+        node("dcc:name", *heading) if heading else None,
+        node("dcc:declaration", *words),
+        refType=f"bench_{ref}",
+    )
+
+
+def _record(certificate: Certificate) -> Node:
+    """Return the record by which the run can be known again, with its seal as a file."""
+    record, texts = certificate.found.record, certificate.texts
+    sealed = said(texts, "seal_text", sealed=record.sealed) if record.sealed else said(texts, "no_seal")
+    about = said(texts, "record_text", run=record.run, events=record.events, head=record.head)
+    (seal,) = (one for one in certificate.attachments if one.name == "seal.json")
+    return node(
+        "dcc:statement",
+        node("dcc:name", *said(texts, "record")),
+        node("dcc:reference", f"SHA-256 {record.head}"),
+        node("dcc:declaration", *about, *sealed),
+        node("dcc:data", byte_data(seal)),
+        refType="bench_record",
+    )
+
+
+def byte_data(file: Attached) -> Node:
+    """Return a file as a DCC holds it."""
+    return node(
+        "dcc:byteData",
+        node("dcc:name", plain(file.description)),
+        node("dcc:fileName", file.name),
+        node("dcc:mimeType", file.media_type),
+        node("dcc:dataBase64", base64.b64encode(file.content).decode()),
+    )

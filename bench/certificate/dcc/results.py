@@ -1,0 +1,331 @@
+"""The ring of measurement results: method, instruments, conditions, coefficients, check, readings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from scipy import special
+
+from bench.analysis.calibration import Verification, VerificationPoint
+from bench.analysis.calibration.conformity import SIMPLE, Statement
+from bench.base.arrays import Floats
+from bench.certificate.content import Certificate, Condition, Found, Instrument, Value, Values
+from bench.certificate.dcc import units
+from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said
+from bench.certificate.dcc.units import si_unit
+from bench.certificate.texts import Texts
+from bench.readings.table import Readings
+
+_LATEX: Final = (
+    r"\vec{U} = K\,\vec{a} + \vec{U}_0,\quad \vec{a} = N\,(\vec{U} - \vec{U}_0),\quad N = K^{-1},\quad "
+    r"\Delta g = |\vec{a}| - 1"
+)
+_CONFORMITY: Final = {
+    Statement.PASS: "pass",
+    Statement.CONDITIONAL_PASS: "conditionalPass",
+    Statement.CONDITIONAL_FAIL: "conditionalFail",
+    Statement.INCONCLUSIVE: "noPass",
+    Statement.NOT_COMPLETE: "noPass",
+    Statement.FAIL: "fail",
+}
+"""Where no statement can be made a DCC has `noPass`: conformity is not shown; the declaration says why."""
+
+_RULES: Final = {SIMPLE: "rule_simple", "guarded": "rule_guarded", "non-binary": "rule_non_binary"}
+
+
+def measurement_results(certificate: Certificate) -> Node:
+    """Return the whole ring; results before an adjustment stand first, as a result of their own."""
+    parts = [_measured(certificate, certificate.found, "found-")]
+    if certificate.as_found is not None:
+        parts.insert(0, _measured(certificate, certificate.as_found, "before-"))
+    return node("dcc:measurementResults", *parts)
+
+
+def _measured(certificate: Certificate, found: Found, prefix: str) -> Node:
+    texts, before = certificate.texts, found is not certificate.found
+    adjusted = certificate.unit is not None and certificate.unit.adjusted is not None
+    status = ("beforeAdjustment" if before else "afterAdjustment") if adjusted else ""
+    verification = found.verification
+    return node(
+        "dcc:measurementResult",
+        node("dcc:name", *said(texts, "before" if before else "results")),
+        node("dcc:usedMethods", _method(texts, found)),
+        node("dcc:measuringEquipments", *(_instrument(texts, one) for one in found.instruments)),
+        node("dcc:influenceConditions", *(_condition(texts, one, status) for one in found.conditions)),
+        node("dcc:results", *_results(certificate, found, prefix)),
+        node(
+            "dcc:measurementMetaData",
+            _uncertainty(certificate),
+            None if verification is None else _conformity(texts, verification),
+            *(node("dcc:metaData", node("dcc:declaration", plain(note))) for note in found.notes),
+        ),
+        id=f"{prefix}result",
+        refType="bench_before" if before else "bench_found",
+    )
+
+
+def _method(texts: Sequence[Texts], found: Found) -> Node:
+    method = found.method
+    words = tuple(
+        node(
+            "dcc:content",
+            one.say(
+                "method_text",
+                procedure=method.procedure or one.say("procedure_unknown"),
+                plan=method.plan_hash or "–",
+                estimator=method.estimator,
+                model=method.model,
+            ),
+            lang=one.language,
+        )
+        for one in texts
+    )
+    return node(
+        "dcc:usedMethod",
+        node("dcc:name", *said(texts, "method")),
+        node("dcc:description", *words, node("dcc:formula", node("dcc:latex", _LATEX))),
+        node("dcc:norm", "JCGM 100:2008"),
+        node("dcc:norm", "JCGM 106:2012"),
+        refType="bench_method",
+    )
+
+
+def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
+    held = one.certificate
+    certificate = None
+    if held is not None:
+        until = "" if held.valid_until is None else f", – {held.valid_until}"
+        certificate = node(
+            "dcc:certificate",
+            node("dcc:referral", plain(f"{held.laboratory}, {held.date}{until}")),
+            node("dcc:referralID", held.number),
+            node("dcc:procedure", "none"),
+            node("dcc:value", "none"),
+            node("dcc:inValidityRange", "false" if one.expired else "true"),
+            node("dcc:traceable", "false" if one.foreign else "true"),
+        )
+    told = [("manufacturer", one.serial)] if one.serial else []
+    told += [("other", one.identity)] if one.identity else []
+    known = [node("dcc:identification", node("dcc:issuer", by), node("dcc:value", text)) for by, text in told]
+    return node(
+        "dcc:measuringEquipment",
+        node("dcc:name", plain(one.name)),
+        None if held is not None else node("dcc:description", *said(texts, "no_certificate")),
+        certificate,
+        node("dcc:identifications", *known) if known else None,
+        refType=f"bench_{one.role}",
+    )
+
+
+def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
+    unit = si_unit(one.unit)
+    shown = (
+        [real(one.low, unit, one.u)] if one.low == one.high else [real(one.low, unit), real(one.high, unit)]
+    )
+    ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
+    quantities = [
+        node("dcc:quantity", node("dcc:name", plain(end)), quantity, refType=f"bench_{end}")
+        for end, quantity in zip(ends, shown, strict=True)
+    ]
+    return node(
+        "dcc:influenceCondition",
+        node("dcc:name", *said(texts, one.key, rail=one.about)),
+        node("dcc:description", plain(one.source)) if one.source else None,
+        node("dcc:status", status) if status else None,
+        node("dcc:data", *quantities),
+        refType=f"bench_{one.key}",
+    )
+
+
+def _results(certificate: Certificate, found: Found, prefix: str) -> Iterator[Node]:
+    from bench.certificate.dcc.document import byte_data
+
+    texts = certificate.texts
+    for key, values in (
+        ("coefficients", found.coefficients),
+        ("coefficients_si", _per_ms2(found)),
+        ("inverse", found.inverse),
+        ("misalignments", found.misalignments),
+    ):
+        yield _result(texts, key.removesuffix("_si"), key, prefix, _listed(values, certificate))
+    if found.verification is not None:
+        yield _result(texts, "delta_g", "delta_g", prefix, _checked(texts, found.verification))
+    yield _result(texts, "readings", "readings", prefix, _table(texts, found.result.source.as_read))
+    if found is certificate.found:
+        (result,) = (one for one in certificate.attachments if one.name == "result.json")
+        yield _result(texts, "results", "file", prefix, byte_data(result))
+
+
+def _result(texts: Sequence[Texts], name: str, ref: str, prefix: str, data: Node) -> Node:
+    return node(
+        "dcc:result",
+        node("dcc:name", *said(texts, name)),
+        node("dcc:data", data),
+        id=f"{prefix}{ref}",
+        refType=f"bench_{ref}",
+    )
+
+
+def _per_ms2(found: Found) -> Values:
+    """Return the coefficients for a specific force in m/s², with the uncertainty of local g in their covariance."""
+    own = found.result.calibration
+    scale = np.concatenate([np.full(9, 1.0 / own.g_m_s2), np.ones(3)])
+    values = own.block.vector * scale
+    of_g = np.where(np.arange(12) < 9, values, 0.0) * own.gravity_u
+    covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
+    per = {"V": units.VOLT_PER_MS2, "m/s^2": units.ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
+    named = {
+        one.name: si_unit(own.unit) if one.name.startswith("U0") else per for one in found.coefficients.values
+    }
+    return Values.of(named, values, covariance, found.coefficients.values[0].k, own.dof)
+
+
+def _listed(values: Values, certificate: Certificate) -> Node:
+    """Return results as one list: names, values, U with k, and the full covariance."""
+    members = values.values
+    spelt = [one.unit if "\\" in one.unit else si_unit(one.unit) for one in members]
+    coverage = certificate.coverage
+    listed = real_list(
+        [one.value for one in members],
+        spelt,
+        [one.name for one in members],
+        ([one.U for one in members], [one.k for one in members], [coverage] * len(members)),
+        ellipsoidal(values.covariance.tolist(), spelt, region_factor(coverage, len(members)), coverage),
+    )
+    dof = _freedom(members)
+    return node("dcc:quantity", listed, node("dcc:measurementMetaData", dof) if dof is not None else None)
+
+
+def _freedom(members: Sequence[Value]) -> Node | None:
+    """Return the degrees of freedom of u, a number each; nothing where all are infinite."""
+    if not any(math.isfinite(one.dof) for one in members):
+        return None
+    finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
+    listed = real_list([dof for _, dof in finite], [units.ONE], [f"nu_{name}" for name, _ in finite])
+    return node(
+        "dcc:metaData",
+        node("dcc:data", node("dcc:quantity", listed)),
+        refType="bench_dof",
+    )
+
+
+def region_factor(probability: float, dimension: int) -> float:
+    """Return k of the ellipsoid that holds so much of a normal distribution of this dimension (JCGM 102, 6.5.2)."""
+    return float(np.sqrt(2.0 * special.gammaincinv(0.5 * dimension, probability)))
+
+
+def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
+    """Return Δg at the verification points with U and covariance, limit, risks, and a statement on each point."""
+    points = verification.points
+    coverage = [math.erf(math.sqrt(2.0))] * len(points)
+    one = [units.ONE] * len(points)
+    covariance: Floats = verification.covariance
+    delta = real_list(
+        [p.delta_g for p in points],
+        one,
+        [_place(p) for p in points],
+        ([p.U for p in points], [p.k for p in points], coverage),
+        ellipsoidal(covariance.tolist(), one, region_factor(coverage[0], len(points)), coverage[0]),
+    )
+    accepted = verification.passed or verification.left_open
+    risks = {
+        "p_false_accept": verification.p_outside if accepted else None,
+        "p_false_reject": 1.0 - verification.p_outside if verification.rejected else None,
+    }
+    statements = " ".join(_CONFORMITY[p.statement] for p in points)
+    return node(
+        "dcc:list",
+        _quantity(plain("angle"), real_list([p.angle_deg for p in points], [units.DEGREE]), "angle"),
+        node(
+            "dcc:quantity",
+            node("dcc:name", *said(texts, "delta_g")),
+            delta,
+            node(
+                "dcc:measurementMetaData",
+                node("dcc:metaData", node("dcc:conformityXMLList", statements)),
+            ),
+            refType="bench_delta_g",
+        ),
+        _quantity(said(texts, "limit"), real(verification.limit_g, units.ONE), "limit"),
+        *(_quantity(said(texts, key), real(p, units.ONE), key) for key, p in risks.items() if p is not None),
+    )
+
+
+def _place(point: VerificationPoint) -> str:
+    return f"pass{point.pass_number}-point{point.point}"
+
+
+def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
+    words = tuple(name) if isinstance(name, tuple) else (name,)
+    return node("dcc:quantity", node("dcc:name", *words), quantity, refType=f"bench_{ref}")
+
+
+def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
+    """Return the statement of conformity on the whole, with limit and rule."""
+    rule, times = _RULES[verification.rule], f"{verification.decision.guard_band:g}"
+    words = tuple(
+        node(
+            "dcc:content",
+            one.say(
+                "conformity_text",
+                points=len(verification.points),
+                limit=f"{verification.limit_g:g}",
+                statement=one.say(str(verification.statement)),
+            )
+            + " "
+            + one.say(rule, times=times)
+            + "; "
+            + one.say("accepted" if verification.passed else "not_accepted")
+            + ".",
+            lang=one.language,
+        )
+        for one in texts
+    )
+    return node(
+        "dcc:metaData",
+        node("dcc:name", *said(texts, "conformity")),
+        node("dcc:norm", "JCGM 106:2012"),
+        node("dcc:norm", "ILAC-G8:09/2019"),
+        node("dcc:declaration", *words),
+        node("dcc:conformity", _CONFORMITY[verification.statement]),
+        refType="bench_conformity",
+    )
+
+
+def _uncertainty(certificate: Certificate) -> Node:
+    told = said(
+        certificate.texts,
+        "uncertainty_text",
+        k=f"{certificate.k:g}",
+        coverage=f"{100 * certificate.coverage:.4g}",
+    )
+    return node("dcc:metaData", node("dcc:declaration", *told), refType="bench_uncertainty")
+
+
+def _table(texts: Sequence[Texts], readings: Readings) -> Node:
+    """Return the readings as they were read: a list for each column."""
+    unit = si_unit(readings.unit)
+    columns: dict[str, tuple[Floats, str]] = {
+        "series": (readings.series.astype(float), units.ONE),
+        "pass": (readings.pass_number.astype(float), units.ONE),
+        "point": (readings.point.astype(float), units.ONE),
+        "angle": (np.asarray(np.round(np.degrees(readings.angle_rad), 12), dtype=np.float64), units.DEGREE),
+        "direction": (readings.direction.astype(float), units.ONE),
+        "time": (readings.time_s, units.SECOND),
+        "temperature": (readings.temperature_c, units.CELSIUS),
+        **{f"u{axis}": (readings.signal[:, i], unit) for i, axis in enumerate("xyz")},
+    }
+    labels = node("dcc:charsXMLList", " ".join(readings.installation.tolist()))
+    return node(
+        "dcc:list",
+        node("dcc:name", *said(texts, "readings")),
+        _quantity(plain("installation"), labels, "installation"),
+        *(
+            _quantity(plain(name), real_list(values.tolist(), [of]), name)
+            for name, (values, of) in columns.items()
+            if not np.isnan(values).all()
+        ),
+    )

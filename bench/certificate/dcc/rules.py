@@ -1,0 +1,257 @@
+"""What every document of ours keeps to, whether the institute's schemas are at hand or not.
+
+The content of the elements that are used here (a part of DCC 3.3.0 and D-SI 2.2.1), and what no schema can say:
+lists of one length, a covariance that is one and agrees with U, statements in all languages, days in their order.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from bench.api.coefficients import impossible
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, VERSION, Node
+from bench.certificate.dcc.units import read_unit
+from bench.certificate.laboratory import SIMULATED_SERIES
+
+_TEXT: Final = "content+"
+_RICH: Final = "name? content* formula*"
+_STATEMENT: Final = "name? traceable? norm* reference* declaration? conformity? conformityXMLList? data?"
+
+_CONTENT: Final = {
+    "digitalCalibrationCertificate": "administrativeData measurementResults Signature*",
+    "administrativeData": "dccSoftware coreData items calibrationLaboratory respPersons customer statements",
+    "dccSoftware": "software+", "software": "name release type", "name": _TEXT, "referral": _TEXT,
+    "coreData": "countryCodeISO3166_1 usedLangCodeISO639_1+ mandatoryLangCodeISO639_1+ uniqueIdentifier "
+    "identifications receiptDate beginPerformanceDate endPerformanceDate performanceLocation issueDate "
+    "reportAmendedSubstituted? previousReport?",
+    "identifications": "identification+", "identification": "issuer value name?",
+    "reportAmendedSubstituted": "typeOfChange replacedUniqueIdentifier",
+    "previousReport": "referral referralID procedure value description",
+    "items": "item", "item": "name description manufacturer? model identifications", "manufacturer": "name",
+    "calibrationLaboratory": "calibrationLaboratoryCode? contact",
+    "contact": "name eMail? phone? location", "customer": "name eMail? phone? location",
+    "location": "street postCode city countryCode",
+    "respPersons": "respPerson+", "respPerson": "person role? mainSigner", "person": "name",
+    "statements": "statement+", "statement": _STATEMENT, "metaData": _STATEMENT,
+    "description": _RICH, "declaration": _RICH, "formula": "latex",
+    "measurementResults": "measurementResult+",
+    "measurementResult": "name usedMethods measuringEquipments influenceConditions results measurementMetaData",
+    "usedMethods": "usedMethod+", "usedMethod": "name description norm+",
+    "measuringEquipments": "measuringEquipment+",
+    "measuringEquipment": "name description? certificate? identifications?",
+    "certificate": "referral referralID procedure value inValidityRange traceable",
+    "influenceConditions": "influenceCondition+", "influenceCondition": "name description? status? data",
+    "results": "result+", "result": "name data", "measurementMetaData": "metaData+",
+    "data": "quantity* list? byteData?", "list": "name? quantity+",
+    "quantity": "name? charsXMLList? real? realListXMLList? measurementMetaData?",
+    "byteData": "name fileName mimeType dataBase64",
+    "real": "value unit measurementUncertaintyUnivariate?",
+    "measurementUncertaintyUnivariate": "standardMU? expandedMU?", "standardMU": "valueStandardMU",
+    "expandedMU": "valueExpandedMU coverageFactor coverageProbability",
+    "realListXMLList": "labelXMLList? valueXMLList unitXMLList measurementUncertaintyUnivariateXMLList? "
+    "measurementUncertaintyMultivariateXMLList?",
+    "measurementUncertaintyUnivariateXMLList": "expandedMUXMLList",
+    "expandedMUXMLList": "valueExpandedMUXMLList coverageFactorXMLList coverageProbabilityXMLList",
+    "measurementUncertaintyMultivariateXMLList": "ellipsoidalRegionMUXMLList",
+    "ellipsoidalRegionMUXMLList": "covarianceMatrixXMLList coverageFactorXMLList coverageProbabilityXMLList",
+    "covarianceMatrixXMLList": "columnXMLList+", "columnXMLList": "covarianceXMLList",
+    "covarianceXMLList": "valueXMLList unitXMLList",
+}  # fmt: skip
+"""Children by element, in their order: `?` none or one, `*` any number, `+` one at least; all others hold text."""
+
+_NUMBER: Final = r"[-+]?((\d*\.\d+)|(\d+\.\d*)|(\d+\.?))([Ee][-+]?\d+)?|NaN"
+_SIZE: Final = r"\+?((\d*\.\d+)|(\d+\.\d*)|(\d+\.?))([Ee][-+]?\d+)?|NaN"
+_K: Final = r"\+?([1-9]\d*(\.\d*)?)"
+_P: Final = r"\+?((0(\.\d*)?)|(1(\.0*)?))"
+_DAY: Final = r"\d{4}-\d\d-\d\d"
+_STATUS: Final = "pass|fail|conditionalPass|conditionalFail|noPass|noFail"
+
+_SPELT: Final = {
+    "value": _NUMBER, "valueXMLList": _NUMBER, "valueStandardMU": _SIZE, "valueExpandedMU": _SIZE,
+    "valueExpandedMUXMLList": _SIZE, "coverageFactor": _K, "coverageFactorXMLList": _K, "coverageProbability": _P,
+    "coverageProbabilityXMLList": _P, "countryCodeISO3166_1": "[A-Z]{2}", "countryCode": "[A-Z]{2}",
+    "usedLangCodeISO639_1": "[a-z]{2}", "mandatoryLangCodeISO639_1": "[a-z]{2}", "receiptDate": _DAY,
+    "beginPerformanceDate": _DAY, "endPerformanceDate": _DAY, "issueDate": _DAY,
+    "performanceLocation": "laboratory|customer|laboratoryBranch|customerBranch|other",
+    "issuer": "manufacturer|calibrationLaboratory|customer|owner|other", "typeOfChange": "amended|substituted",
+    "status": "beforeAdjustment|afterAdjustment", "conformity": _STATUS, "conformityXMLList": _STATUS,
+    "traceable": "true|false", "inValidityRange": "true|false", "mainSigner": "true|false",
+}  # fmt: skip
+"""How the words of an element are spelt; those of a list each."""
+
+_ANY_LIST: Final = "XMLList"
+
+
+def broken_rules(document: bytes) -> tuple[str, ...]:
+    """Return what a document of ours must not be, a sentence each with its line; nothing for a good one."""
+    try:
+        root = etree.fromstring(document, parser())
+    except etree.XMLSyntaxError as error:
+        return (f"not XML: {error}",)
+    return tuple(dict.fromkeys(told for rule in _RULES for told in rule(root)))
+
+
+def parser() -> etree.XMLParser:
+    """Return the parser of documents from elsewhere: no entities, no DTD, nothing from a network."""
+    return etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
+
+
+def local(element: Node) -> str:
+    """Return the name of an element without its namespace; empty for a comment."""
+    return etree.QName(element).localname if isinstance(element.tag, str) else ""
+
+
+def _at(element: Node, text: str) -> str:
+    return f"line {element.sourceline}, {local(element)}: {text}"
+
+
+def _elements(root: Node) -> Iterator[Node]:
+    """Yield the elements that are ours to check: all but signatures."""
+    yield from root.iter(f"{{{DCC}}}*", f"{{{SI}}}*")
+
+
+def _content(root: Node) -> Iterator[str]:
+    """Elements have the children that belong there, in their order, and no others."""
+    if root.tag != f"{{{DCC}}}digitalCalibrationCertificate" or root.get("schemaVersion") != VERSION:
+        yield _at(root, f"not a DCC {VERSION}")
+    for element in _elements(root):
+        name = local(element)
+        if name == "value" and element.getparent() is not None and element.tag.startswith(f"{{{DCC}}}"):
+            continue
+        model = _CONTENT.get(name, "")
+        kinds = [local(child) for child in element if isinstance(child.tag, str)]
+        pattern = "".join(
+            rf"(?:{part.rstrip('?*+')} ){part[-1] if part[-1] in '?*+' else ''}" for part in model.split()
+        )
+        if re.fullmatch(pattern, "".join(f"{kind} " for kind in kinds)) is None:
+            yield _at(element, f"expected {model or 'a text'}, got {', '.join(kinds) or 'nothing'}")
+        if model and (element.text or "").strip():
+            yield _at(element, "a text stands between its elements")
+
+
+def _spelling(root: Node) -> Iterator[str]:
+    """Words are spelt as the schema has them, no text is empty or begins or ends with a blank."""
+    for element in _elements(root):
+        name, text = local(element), element.text or ""
+        if name in _CONTENT and len(element):
+            continue
+        if text != text.strip() or not text:
+            yield _at(element, "empty, or with a blank at an end")
+        if name not in _SPELT or (name == "value" and not element.tag.startswith(f"{{{SI}}}")):
+            continue
+        words = text.split() if name.endswith(_ANY_LIST) else [text]
+        wrong = [word for word in words if re.fullmatch(_SPELT[name], word) is None]
+        if wrong:
+            yield _at(element, f"{wrong[0]!r} is no such value")
+
+
+def _languages(root: Node) -> Iterator[str]:
+    """Where a text is said in one of the languages it is said in all of them."""
+    used = {one.text for one in root.iter(f"{{{DCC}}}usedLangCodeISO639_1")}
+    for element in _elements(root):
+        said = [one.get("lang") for one in element.findall("dcc:content", NAMESPACES)]
+        spoken = {language for language in said if language is not None}
+        if spoken and spoken != used:
+            yield _at(element, f"said in {', '.join(sorted(spoken))}, not in all languages used")
+
+
+def _lists(root: Node) -> Iterator[str]:
+    """The parts of a list are as many as its values, its units known."""
+    for element in root.iter(f"{{{SI}}}realListXMLList"):
+        words = {local(one): (one.text or "").split() for one in element.iter(f"{{{SI}}}*") if one.text}
+        count = len((element.findtext("si:valueXMLList", "", NAMESPACES)).split())
+        units = (element.findtext("si:unitXMLList", "", NAMESPACES)).split()
+        if len(units) not in {1, count}:
+            yield _at(element, f"{count} values, but {len(units)} units")
+        for name in ("labelXMLList", "valueExpandedMUXMLList"):
+            if name in words and len(words[name]) != count:
+                yield _at(element, f"{count} values, but {len(words[name])} in {name}")
+        for unit in units:
+            try:
+                read_unit(unit)
+            except ValueError as error:
+                yield _at(element, str(error))
+
+
+def _covariances(root: Node) -> Iterator[str]:
+    """A covariance is square, symmetric and possible, and U is k times the root of its diagonal."""
+    for element in root.iter(f"{{{SI}}}realListXMLList"):
+        columns = element.findall(".//si:covarianceXMLList/si:valueXMLList", NAMESPACES)
+        if not columns:
+            continue
+        count = len((element.findtext("si:valueXMLList", "", NAMESPACES)).split())
+        rows = [[float(word) for word in (column.text or "").split()] for column in columns]
+        if len(rows) != count or any(len(row) != count for row in rows):
+            yield _at(element, f"{count} values, but a covariance of {[len(row) for row in rows]}")
+            continue
+        covariance = np.array(rows)
+        if why := impossible(covariance):
+            yield _at(element, why)
+        path = ".//si:expandedMUXMLList/si:{}"
+        U, k = (
+            [float(word) for word in (element.findtext(path.format(name), "", NAMESPACES)).split()]
+            for name in ("valueExpandedMUXMLList", "coverageFactorXMLList")
+        )
+        u = np.sqrt(np.abs(np.diag(covariance)))
+        if len(U) == len(k) == count and not np.allclose(
+            np.array(U), np.array(k) * u, rtol=1e-9, atol=1e-300
+        ):
+            yield _at(element, "U is not k times the root of the covariance's diagonal")
+
+
+def _days(root: Node) -> Iterator[str]:
+    """Received, calibrated, issued: in this order."""
+    core = root.find("dcc:administrativeData/dcc:coreData", NAMESPACES)
+    names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
+    days = [] if core is None else [core.findtext(f"dcc:{name}", "", NAMESPACES) for name in names]
+    if days != sorted(days):
+        yield f"{', '.join(names)} are not in this order: {', '.join(days)}"
+
+
+def _simulation(root: Node) -> Iterator[str]:
+    """What is simulated says so and is numbered in its own series; what is not is in none of these."""
+    number = root.findtext("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier", "", NAMESPACES)
+    said = root.find(".//dcc:statement[@refType='bench_simulated']", NAMESPACES) is not None
+    if said != number.startswith(SIMULATED_SERIES):
+        yield f"number {number}: those that begin with {SIMULATED_SERIES} are of simulated runs, and say so"
+
+
+def _references(root: Node) -> Iterator[str]:
+    """No name is given twice, files are there whole, statements are as many as points."""
+    names = [one.get("id") for one in _elements(root) if one.get("id") is not None]
+    for name in dict.fromkeys(names):
+        if names.count(name) > 1:
+            yield f"the id {name!r} stands twice"
+    for element in root.iter(f"{{{DCC}}}dataBase64"):
+        try:
+            base64.b64decode(element.text or "", validate=True)
+        except binascii.Error:
+            yield _at(element, "not Base64")
+    for element in root.iter(f"{{{DCC}}}conformityXMLList"):
+        quantity = next(element.iterancestors(f"{{{DCC}}}quantity"), None)
+        values = "" if quantity is None else quantity.findtext(".//si:valueXMLList", "", NAMESPACES)
+        if len((element.text or "").split()) != len(values.split()):
+            yield _at(element, "not a statement for each value")
+
+
+def _signed(root: Node) -> Iterator[str]:
+    """Nothing stands outside the two name spaces but signatures at the end."""
+    for element in root.iter():
+        if not isinstance(element.tag, str):
+            yield f"line {element.sourceline}: a comment or an instruction, which nobody signs for"
+        elif etree.QName(element).namespace not in {DCC, SI}:
+            within = [element, *element.iterancestors()]
+            if not any(one.tag == f"{{{SIGNATURE}}}Signature" for one in within):
+                yield _at(element, "of no name space of a DCC")
+
+
+_RULES: Final[tuple[Callable[[Node], Iterator[str]], ...]] = (
+    _content, _spelling, _languages, _lists, _covariances, _days, _simulation, _references, _signed,
+)  # fmt: skip

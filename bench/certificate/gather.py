@@ -1,0 +1,307 @@
+"""From a run, a laboratory file and an order file to what a certificate says, and what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.analysis.budget.sources import hidden_sources
+from bench.analysis.calibration.derived import INVERSE, MISALIGNMENTS
+from bench.api.calibration import CalibrationResult, calibration_of, coefficient_unit
+from bench.api.errors import Refused
+from bench.api.origin import origin_beside
+from bench.api.provenance import record_head
+from bench.api.source import Request, Source, load_sources
+from bench.api.verification import VerificationResult, verification_of
+from bench.base.arrays import u_of
+from bench.base.visible import visible
+from bench.base.whole import to_text
+from bench.certificate.content import (
+    Certificate,
+    Condition,
+    Contribution,
+    Found,
+    Instrument,
+    Issue,
+    Item,
+    Method,
+    Record,
+    Values,
+    uncertified,
+)
+from bench.certificate.laboratory import Laboratory
+from bench.certificate.order import Order
+from bench.certificate.texts import Texts, texts_of
+from bench.model.block import COEFFICIENTS
+from bench.readings.csv import format_csv
+from bench.readings.rails import current_column, rails_of, voltage_column
+from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Readings
+from bench.run.folder import IMPORTED, Run
+from bench.run.seal import read_seal, seal_of
+from bench.run.states import ENDED
+
+_FIRST_LANGUAGE: Final = "en"
+
+
+def certificate_of(
+    run: str,
+    runs: Path,
+    laboratory: Laboratory | None = None,
+    order: Order | None = None,
+    issue: Issue | None = None,
+) -> Certificate:
+    """Evaluate a run as it was begun; return what its certificate says.
+
+    Raises `Refused` for what is no run that has ended, `RecordError` for one that cannot be believed,
+    `CalibrationError` where there is no result.
+    """
+    k = 2.0 if laboratory is None else laboratory.k
+    found = found_by(run, runs, k)
+    unit = None if order is None else order.unit(found.item.serial)
+    adjusted = None if unit is None else unit.adjusted
+    before = None
+    if adjusted is not None and adjusted.as_found is not None:
+        before = found_by(adjusted.as_found, runs, k)
+        if before.item != found.item:
+            raise Refused(
+                f"{run}: the run as found, {adjusted.as_found}, is of unit {before.item.type} "
+                f"{before.item.serial}; name that of this unit under adjusted"
+            )
+    return Certificate(found, texts_for(laboratory), laboratory, order, unit, before, issue)
+
+
+def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
+    """Return the words in the languages of a laboratory, with its own in place of some."""
+    if laboratory is None:
+        return (texts_of(_FIRST_LANGUAGE),)
+    return tuple(texts_of(name).with_own(laboratory.texts.get(name, {})) for name in laboratory.language)
+
+
+def missing(certificate: Certificate) -> tuple[str, ...]:
+    """Return what ISO/IEC 17025:2017, 7.8 asks for and is not there, or cannot be, a sentence each."""
+    return tuple(_missing(certificate))
+
+
+def _missing(certificate: Certificate) -> Iterator[str]:
+    found, order, unit = certificate.found, certificate.order, certificate.unit
+    if certificate.laboratory is None:
+        yield "the laboratory, its address and place (7.8.2.1 b, c): --laboratory FILE"
+    if order is None:
+        yield "the customer, receipt and condition of the unit (7.8.2.1 e, g, h): --order FILE"
+    elif unit is None:
+        yield f"unit {found.item.serial!r} in the order file (7.8.2.1 g, h): its receipt, condition and state"
+    if not found.item.serial:
+        yield "the serial number of the unit (7.8.2.1 g): the record names none"
+    if not any(one.key == "temperature" for one in found.conditions):
+        yield "the temperature during the calibration (7.8.4.1 b): no reading has one"
+    names = uncertified(found)
+    if names and not found.simulated and (order is None or order.without_certificates is None):
+        yield (
+            f"the traceability of {', '.join(names)} (7.8.4.1 c): state their certificates in the bench "
+            "file before a run, or what was agreed as without_certificates in the order file"
+        )
+    calibrated = certificate.calibrated
+    if calibrated is None:
+        yield (
+            "the days of the calibration (7.8.2.1 i): these readings do not say when they were measured; state "
+            "'calibrated' for the unit in the order file"
+        )
+        return
+    begun, ended = calibrated
+    if unit is not None and unit.received > begun:
+        yield f"a day of receipt (7.8.2.1 h) before the calibration: {unit.received} is after {begun}"
+    elif certificate.issue is not None and certificate.issue.day < str(ended):
+        yield f"a day of issue (7.8.2.1 j) after the calibration: {certificate.issue.day} is before {ended}"
+
+
+def found_by(name: str, runs: Path, k: float) -> Found:
+    """Evaluate a run with its own bench file; U of the coefficients is `k` u. Raises as `certificate_of`."""
+    (source,) = load_sources(Request([name], runs))
+    run = source.run
+    if run is None:
+        raise Refused(
+            f"{name}: a certificate is of a run; 'bench import {name}' makes one of a readings file"
+        )
+    if not run.imported and run.history.state not in ENDED:
+        raise Refused(f"{name}: the run is {run.history.state}; a certificate is of a run that has ended")
+    result = calibration_of(source)
+    verdict = verification_of(result.source, result) if len(source.readings.verification()) else None
+    record, begun = _record(run), _begun(source)
+    return Found(
+        record=record,
+        item=_item(source),
+        begun=begun,
+        ended=begun if begun and run.imported else _ended(run),
+        operator=_one_line("" if source.origin is None else source.origin.operator),
+        method=_method(source, result),
+        **_values(result, k),
+        conditions=tuple(_conditions(source)),
+        instruments=tuple(_instruments(source)),
+        contributions=tuple(_contributions(result)),
+        result=result,
+        verdict=verdict,
+        result_json=_result_json(run, result, verdict),
+        readings_csv=format_csv(source.as_read),
+        notes=tuple(_plain(note, run) for note in (*result.notes, *(verdict.sentences if verdict else ()))),
+        simulated=source.simulated,
+    )
+
+
+def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
+    own, derived = result.calibration, replace(result.derived, k=k)
+    units = {name: coefficient_unit(name, own.unit) for name in COEFFICIENTS}
+    inverted = {name: own.unit if name.startswith("U0") else derived.inverse_unit for name in INVERSE}
+    n, angles = derived.inverse, derived.misalignments
+    return {
+        "coefficients": Values.of(units, own.block.vector, own.covariance, k, own.dof),
+        "inverse": Values.of(inverted, n.values, n.covariance, k),
+        "misalignments": Values.of(dict.fromkeys(MISALIGNMENTS, "rad"), angles.values, angles.covariance, k),
+    }
+
+
+def _item(source: Source) -> Item:
+    unit = source.bench.unit_under_test
+    return Item(_one_line(unit.type), _one_line(unit.serial))
+
+
+def _method(source: Source, result: CalibrationResult) -> Method:
+    origin = source.origin
+    procedure = "" if origin is None else Path(origin.procedure).name
+    plan = "" if origin is None else origin.plan_hash
+    return Method(_one_line(procedure), plan, result.calibration.estimator, result.calibration.model)
+
+
+def _record(run: Run) -> Record:
+    seal = read_seal(run.folder)
+    if seal is not None and (wrong := seal.differences(run)):
+        raise Refused(f"{run.name}: {'; '.join(wrong)}; no certificate is made of it")
+    stated = seal_of(run, "") if seal is None else seal
+    head = record_head(run)
+    return Record(
+        run.name,
+        int(head["events"]),
+        str(head["head"]),
+        stated.manifest_sha256,
+        to_text(stated.to_json()),
+        stated.sealed,
+    )
+
+
+def _begun(source: Source) -> str:
+    """Return when the readings were begun; of readings that came without a word on that nothing is known."""
+    run = source.run
+    if run is not None and run.imported and origin_beside(run.folder / IMPORTED).origin is None:
+        return ""
+    return "" if source.origin is None else source.origin.begun
+
+
+def _ended(run: Run) -> str:
+    events = run.history.events
+    return events[-1].time if len(events) else ""
+
+
+def _conditions(source: Source) -> Iterator[Condition]:
+    used = _used(source.readings)
+    told = sorted({text for text in used.extra.get(TEMPERATURE_SOURCE, ()) if text})
+    span = _span(used.temperature_c)
+    if span is not None:
+        yield Condition("temperature", *span, "°C", source=", ".join(told))
+    if CHAMBER_C in used.extra and (span := _span(_numbers(used, CHAMBER_C))) is not None:
+        yield Condition("chamber", *span, "°C")
+    for rail in rails_of(used.extra):
+        for key, column, unit in (
+            ("supply", voltage_column(rail), "V"), ("current", current_column(rail), "A"),
+        ):  # fmt: skip
+            if column in used.extra and (span := _span(_numbers(used, column))) is not None:
+                yield Condition(key, *span, unit, rail)
+    g, u, origin = source.g_m_s2, None, ""
+    for error in hidden_sources(source.bench, source.model):
+        if error.name == "gravity":
+            u, origin = error.u * g, error.origin
+    yield Condition("gravity", g, g, "m/s²", u=u, source=origin)
+
+
+def _used(readings: Readings) -> Readings:
+    return readings.select(readings.is_oriented | (readings.installation == VERIFICATION))
+
+
+def _numbers(readings: Readings, column: str) -> Any:
+    return np.array([float(cell) if cell.strip() else np.nan for cell in readings.extra[column].tolist()])
+
+
+def _span(values: Any) -> tuple[float, float] | None:
+    """Return the least and the largest of values, without NaN; None where there is none."""
+    known = values[~np.isnan(values)]
+    return (float(known.min()), float(known.max())) if len(known) else None
+
+
+def _instruments(source: Source) -> Iterator[Instrument]:
+    told = {} if source.origin is None else source.origin.instruments
+    serials = {} if source.origin is None else source.origin.serials
+    held = {standing.instrument: (standing, why_not) for standing, why_not in source.traced.entries}
+    for section in source.bench.instruments.all():
+        name = section.name
+        one = Instrument(name, section.role, _one_line(told.get(name, "")), _one_line(serials.get(name, "")))
+        if name in held:
+            standing, why_not = held[name]
+            one = replace(
+                one,
+                serial=one.serial or standing.certificate.serial or "",
+                certificate=standing.certificate,
+                expired=standing.expired,
+                foreign=standing.foreign,
+                correction=standing.correction,
+                why_not=why_not,
+            )
+        yield one
+
+
+def _contributions(result: CalibrationResult) -> Iterator[Contribution]:
+    u = result.calibration.u
+    for source in result.calibration.sources:
+        part = u_of(source.covariance)
+        if np.any(part > 0):
+            j = int(np.argmax(part / u))
+            unit = coefficient_unit(COEFFICIENTS[j], result.calibration.unit)
+            yield Contribution(
+                source.name, source.size, source.origin, source.prior, float(part[j]), COEFFICIENTS[j], unit
+            )
+
+
+def _result_json(run: Run, result: CalibrationResult, verdict: VerificationResult | None) -> str:
+    """Return the result and the verdict as JSON, without the names of folders of this computer."""
+    told = {**result.to_dict(), "verification": None if verdict is None else verdict.to_dict()}
+    told["source"] = run.name
+    for part in (told, told["verification"] or {}):
+        part["bench"] = {**part.get("bench", {}), "file": "bench.yaml"}
+    return to_text(_without_folders(told, run))
+
+
+def _without_folders(told: Any, run: Run) -> Any:
+    if isinstance(told, dict):
+        return {name: _without_folders(value, run) for name, value in told.items()}
+    if isinstance(told, list):
+        return [_without_folders(value, run) for value in told] if told and _has_text(told) else told
+    return _plain(told, run) if isinstance(told, str) else told
+
+
+def _has_text(told: list[Any]) -> bool:
+    return any(isinstance(one, str | dict | list) for one in told)
+
+
+def _plain(text: str, run: Run) -> str:
+    return text.replace(str(run.folder.absolute()), run.name).replace(str(run.folder), run.name)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(visible(text).split())
+
+
+def issued_at(now: datetime) -> str:
+    """Return a civil time as a certificate states it: to the second, with its offset."""
+    return now.replace(microsecond=0).isoformat()

@@ -1,0 +1,312 @@
+"""The life of a certificate: drafted, issued once, amended or replaced, revoked, handed out and made again."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.api.errors import Refused
+from bench.base.forms import Document, load_document, validated
+from bench.base.json_text import read_json
+from bench.base.whole import write_whole
+from bench.certificate.content import Before, Certificate, Issue
+from bench.certificate.gather import certificate_of, issued_at, missing
+from bench.certificate.laboratory import Laboratory, Person, laboratory_of
+from bench.certificate.order import Order
+from bench.certificate.register import ISSUED, REVOKED, Entry, Register, Standing, opened
+
+if TYPE_CHECKING:
+    from bench.certificate.dcc.schema import Schemas
+    from bench.certificate.signature.signatory import Signatory
+
+MISSING = "certificates need the package {}: pip install 'triaxial-bench[certificate]'"
+
+
+@dataclass(frozen=True)
+class Desk:
+    """What certificates are issued with: files as they were read, who authorises, a key, schemas, the clock."""
+
+    runs: Path
+    laboratory_file: Document
+    order_file: Document
+    authorised_by: str
+    now: Callable[[], datetime]
+    signatory: Signatory | None = None
+    schemas: Schemas | None = None
+
+    @property
+    def laboratory(self) -> Laboratory:
+        """The laboratory. Raises `FileMistakes`."""
+        return laboratory_of(self.laboratory_file)
+
+    @property
+    def order(self) -> Order:
+        """The order. Raises `FileMistakes`."""
+        return validated(self.order_file, Order)
+
+    def person(self, laboratory: Laboratory) -> Person:
+        """Return who authorises. Raises `Refused` for somebody who may not."""
+        return authorised(laboratory, self.authorised_by)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run: its number with the issued files, or `why` there is none.
+
+    `before_now` tells that it was issued before, and handed out again; `lacks` what a draft needs to be issued.
+    """
+
+    run: str
+    number: str = ""
+    files: tuple[Path, ...] = ()
+    why: str = ""
+    before_now: bool = False
+    lacks: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as `--json` writes it."""
+        return {
+            "run": self.run,
+            "number": self.number or None,
+            "files": [str(file) for file in self.files],
+            "why": self.why or None,
+            "issued_before": self.before_now,
+            "lacks": list(self.lacks),
+        }
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The unsigned forms of a certificate."""
+
+    xml: bytes
+    pdf: bytes
+
+    def sha256(self) -> dict[str, str]:
+        """Return the SHA-256 of each by its ending."""
+        return {name: hashlib.sha256(body).hexdigest() for name, body in vars(self).items()}
+
+
+def authorised(laboratory: Laboratory, name: str) -> Person:
+    """Return who may authorise certificates of a laboratory. Raises `Refused` for somebody else."""
+    person = laboratory.person(name)
+    if person is None:
+        names = ", ".join(one.name for one in laboratory.authorised)
+        raise Refused(f"--authorised-by {name}: the laboratory file names {names}; nobody else may authorise")
+    return person
+
+
+def issue_all(names: Sequence[str], desk: Desk) -> Iterator[Outcome]:
+    """Issue a certificate of each run, one after the other; one that cannot be issued stops no other."""
+    laboratory, order = desk.laboratory, desk.order
+    person, register = desk.person(laboratory), Register(laboratory.register_folder)
+    for name in names:
+        with _told(name) as outcomes:
+            outcomes.append(_issue(name, desk, laboratory, order, person, register))
+        yield outcomes[0]
+
+
+def drafts(
+    names: Sequence[str], runs: Path, laboratory_file: Path | None, order_file: Path | None, out: Path | None
+) -> Iterator[Outcome]:
+    """Write a draft of each run, without a number: `certificate-draft.pdf` in its folder, or in `out`."""
+    laboratory = None if laboratory_file is None else laboratory_of(load_document(laboratory_file))
+    order = None if order_file is None else validated(load_document(order_file), Order)
+    for name in names:
+        with _told(name) as outcomes:
+            certificate = certificate_of(name, runs, laboratory, order)
+            file = certificate.found.result.source.output("certificate-draft", ".pdf")
+            if out is not None:
+                file = out / f"{certificate.found.record.run}-{file.name}"
+                out.mkdir(parents=True, exist_ok=True)
+            write_whole(file, _body(certificate, b""))
+            outcomes.append(Outcome(name, files=(file,), lacks=missing(certificate)))
+        yield outcomes[0]
+
+
+@contextmanager
+def _told(name: str) -> Iterator[list[Outcome]]:
+    """Make of whatever is wrong with one run what became of it: it stops no other."""
+    outcomes: list[Outcome] = []
+    try:
+        yield outcomes
+    except Exception as error:
+        ours = type(error).__module__.startswith(("bench.", "drivers."))
+        outcomes.append(Outcome(name, why=str(error) if ours else f"{type(error).__name__}: {error}"))
+
+
+def _issue(
+    name: str, desk: Desk, laboratory: Laboratory, order: Order, person: Person, register: Register
+) -> Outcome:
+    certificate = certificate_of(name, desk.runs, laboratory, order)
+    with opened(register.folder, register):
+        before = _holding(register, certificate)
+        if before is not None:
+            files = tuple(register.folder / file for file in before.entry.files)
+            return Outcome(name, before.entry.number, files, before_now=True)
+        return _write(certificate, desk, laboratory, person, register, None)
+
+
+def _holding(register: Register, certificate: Certificate) -> Standing | None:
+    """Return the certificate of the same record that holds, None where there is none."""
+    head = certificate.found.record.head
+    of_record = (s for s in register.standings.values() if s.entry.data["record"]["head"] == head)
+    return next((standing for standing in of_record if standing.state == ISSUED), None)
+
+
+def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> Outcome:
+    """Issue a certificate in place of one that holds; the new one names it. Raises `Refused` where none holds."""
+    laboratory, order = desk.laboratory, desk.order
+    person = desk.person(laboratory)
+    certificate = certificate_of(name, desk.runs, laboratory, order)
+    with opened(laboratory.register_folder) as register:
+        old = holds(register, number).entry
+        item = certificate.found.item
+        if old.data["unit"] != {"type": item.type, "serial": item.serial}:
+            raise Refused(f"{number}: a certificate of another unit than that of {name}")
+        kind = "replaced" if replaced else "amended"
+        before = Before(kind, number, old.time[:10], reason, old.files[f"{number}.xml"])
+        return _write(certificate, desk, laboratory, person, register, before)
+
+
+def revoke(number: str, laboratory: Laboratory, by: str, reason: str, now: datetime) -> None:
+    """Write down that a certificate holds no more. Raises `Refused` for one that does not hold now."""
+    person = authorised(laboratory, by)
+    with opened(laboratory.register_folder) as register:
+        holds(register, number)
+        register.revoke(Entry(REVOKED, number, issued_at(now), person.name, {"reason": reason}))
+
+
+def holds(register: Register, number: str) -> Standing:
+    """Return a certificate that holds. Raises `Refused` for another, and for a number that was never issued."""
+    standing = issued(register, number)
+    if standing.state != ISSUED:
+        told = f"by {standing.by}" if standing.state != REVOKED else f": {standing.by}"
+        raise Refused(f"{number}: it was {standing.state} {told}".replace(" :", ":"))
+    return standing
+
+
+def issued(register: Register, number: str) -> Standing:
+    """Return what is known of a number. Raises `Refused` for one that was never issued."""
+    if number not in register.standings:
+        latest = ", ".join(list(register.standings)[-3:]) or "none"
+        raise Refused(
+            f"{number}: no certificate of that number in {register.folder}; the latest are: {latest}"
+        )
+    return register.standings[number]
+
+
+def _write(
+    certificate: Certificate,
+    desk: Desk,
+    laboratory: Laboratory,
+    person: Person,
+    register: Register,
+    before: Before | None,
+) -> Outcome:
+    """Give a certificate the next number, make its forms, issue it; the register is open."""
+    now = desk.now()
+    simulated = certificate.simulated
+    number = register.number_after(laboratory.number(n, now.year, simulated=simulated) for n in count(1))
+    whole = replace(certificate, issue=Issue(number, issued_at(now), person, before))
+    refuse_incomplete(whole)
+    bodies = bodies_of(whole, desk.schemas)
+    contents = signed(bodies, whole, desk.signatory, now)
+    found = whole.found
+    logo = laboratory.logo_file
+    data: dict[str, Any] = {
+        "role": person.role,
+        "run": found.record.run,
+        "record": {"events": found.record.events, "head": found.record.head},
+        "unit": {"type": found.item.type, "serial": found.item.serial},
+        "customer": None if whole.order is None else whole.order.customer.name,
+        "simulated": simulated,
+        "before": None if before is None else vars(before),
+        "signed_by": None if desk.signatory is None else desk.signatory.name,
+        "bodies": bodies.sha256(),
+        "made_from": {
+            "laboratory": register.keep(desk.laboratory_file.text.encode()),
+            "order": register.keep(desk.order_file.text.encode()),
+            "seal": register.keep(found.record.seal.encode()),
+            "logo": None if logo is None else register.keep(logo.read_bytes()),
+        },
+    }
+    entry = Entry(ISSUED, number, whole.issue.issued if whole.issue else "", person.name, data)
+    register.issue(entry, contents)
+    return Outcome(found.record.run, number, tuple(register.folder / name for name in contents))
+
+
+def refuse_incomplete(certificate: Certificate) -> None:
+    """Raise `Refused` with all that a certificate lacks."""
+    lacking = missing(certificate)
+    if lacking:
+        raise Refused(f"{certificate.found.record.run}: not issued; missing: {'; '.join(lacking)}")
+
+
+def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodies:
+    """Return the forms of a certificate with a number, unsigned; checked before anybody sees them.
+
+    Raises `Refused` where the document breaks a rule of ours or of the schemas.
+    """
+    try:
+        from bench.certificate.dcc.document import document_of
+        from bench.certificate.dcc.rules import broken_rules
+    except ImportError as error:
+        raise Refused(MISSING.format(error.name)) from error
+    xml = document_of(certificate)
+    wrong = [*broken_rules(xml), *(schemas.mistakes(xml) if schemas is not None else ())]
+    if wrong:
+        raise Refused(f"{certificate.number}: its document is not what a DCC must be: {'; '.join(wrong[:5])}")
+    return Bodies(xml, _body(certificate, xml))
+
+
+def _body(certificate: Certificate, xml: bytes) -> bytes:
+    from bench.certificate.paper.body import body_of
+
+    return body_of(certificate, xml)
+
+
+def signed(
+    bodies: Bodies, certificate: Certificate, signatory: Signatory | None, now: datetime
+) -> dict[str, bytes]:
+    """Return the files of a certificate by name: the XML is signed, embedded, and then the PDF is signed."""
+    number = certificate.number
+    if signatory is None:
+        return {f"{number}.xml": bodies.xml, f"{number}.pdf": bodies.pdf}
+    from bench.certificate.signature.pades import sign_pdf
+    from bench.certificate.signature.xades import sign_xml
+
+    xml = sign_xml(bodies.xml, signatory, now)
+    title = certificate.texts[0].say("title")
+    pdf = sign_pdf(_body(certificate, xml), signatory, now, f"{title} {number}", certificate.place)
+    return {f"{number}.xml": xml, f"{number}.pdf": pdf}
+
+
+def made_again(register: Register, number: str, runs: Path) -> Bodies:
+    """Make the unsigned forms of an issued certificate from its record again. Raises as issuing does."""
+    entry = issued(register, number).entry
+    kept = entry.data["made_from"]
+    paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}
+    for digest in filter(None, kept.values()):
+        register.kept(digest)
+    laboratory = laboratory_of(load_document(paths["laboratory"]), paths.get("logo"))
+    order = validated(load_document(paths["order"]), Order)
+    before = entry.data["before"]
+    issue = Issue(
+        number,
+        entry.time,
+        Person(name=entry.by, role=entry.data["role"]),
+        None if before is None else Before(**before),
+    )
+    certificate = certificate_of(entry.data["run"], runs, laboratory, order, issue)
+    if certificate.found.record.head != entry.data["record"]["head"]:
+        raise Refused(f"{number}: the record of {entry.data['run']} is not the one that it was made from")
+    seal = register.kept(kept["seal"]).decode()
+    record = replace(certificate.found.record, seal=seal, sealed=read_json(seal.encode())["sealed"])
+    return bodies_of(replace(certificate, found=replace(certificate.found, record=record)))

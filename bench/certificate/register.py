@@ -1,0 +1,262 @@
+"""The register of what was issued: lines that are only ever added, each with the hash of the one before.
+
+A certificate is issued by its line. Its files stand beside it under other names until then, and get their own
+names after it, now or when the register is next opened: whatever happens in between, a number is there with its
+files or is not there at all. One program at a time has the register open.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from filelock import FileLock, Timeout
+
+from bench.api.errors import Refused
+from bench.base.json_text import read_json
+from bench.base.whole import write_whole
+
+LINES: Final = "register.jsonl"
+MADE_FROM: Final = "made-from"
+WAIT_S: Final = 120.0
+"""How long another program's turn is waited for."""
+
+_LOCK: Final = ".register.lock"
+_PART: Final = ".part"
+_FIRST: Final = hashlib.sha256(b"triaxial-bench register 1\n").hexdigest()
+
+ISSUED, REVOKED = "issued", "revoked"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of the register: what happened when (ISO 8601) to which number, by whom, and the rest of it."""
+
+    kind: str
+    number: str
+    time: str
+    by: str
+    data: Mapping[str, Any]
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The SHA-256 of the files that were issued, by name."""
+        return dict(self.data.get("files", {}))
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What is true of a number now: "issued", "amended", "replaced" or "revoked"; `by` what, or why."""
+
+    entry: Entry
+    state: str = ISSUED
+    by: str = ""
+
+
+@dataclass
+class Register:
+    """A register that is open: nobody else writes to it. `folder` is where it and the issued files stand."""
+
+    folder: Path
+    standings: dict[str, Standing] = field(default_factory=dict)
+    head: str = _FIRST
+    length: int = 0
+    count: int = 0
+
+    def number_after(self, numbers: Iterator[str]) -> str:
+        """Return the first of `numbers` that was never issued."""
+        return next(number for number in numbers if number not in self.standings)
+
+    def issue(self, entry: Entry, contents: Mapping[str, bytes]) -> None:
+        """Issue a certificate: `contents` are its files by name. Raises `OSError` where it is not issued."""
+        if entry.number in self.standings:
+            raise Refused(f"{entry.number}: this number was issued already")
+        for name, content in contents.items():
+            _write_through(self.folder / (name + _PART), content)
+        _sync_folder(self.folder)
+        sha = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+        self._append(Entry(entry.kind, entry.number, entry.time, entry.by, {**entry.data, "files": sha}))
+        self._put_in_place(self.standings[entry.number].entry)
+
+    def revoke(self, entry: Entry) -> None:
+        """Write down that a certificate holds no more. Raises `OSError`."""
+        self._append(entry)
+
+    def file(self, name: str) -> bytes:
+        """Return an issued file as it was issued. Raises `Refused` where it is not that any more."""
+        number = name.rsplit(".", 1)[0]
+        stated = self.standings[number].entry.files.get(name) if number in self.standings else None
+        if stated is None:
+            raise Refused(f"{self.folder}: no file {name} was issued")
+        try:
+            content = (self.folder / name).read_bytes()
+        except OSError as error:
+            raise Refused(f"{self.folder / name}: cannot be read ({error.strerror})") from error
+        if hashlib.sha256(content).hexdigest() != stated:
+            raise Refused(f"{self.folder / name}: not the file that was issued; take it from a copy")
+        return content
+
+    def keep(self, content: bytes) -> str:
+        """Keep what a certificate is made from, once whatever is made from it; return its SHA-256."""
+        digest = hashlib.sha256(content).hexdigest()
+        place = self.folder / MADE_FROM / digest
+        if not place.is_file():
+            place.parent.mkdir(exist_ok=True)
+            write_whole(place, content)
+        return digest
+
+    def kept(self, digest: str) -> bytes:
+        """Return what a certificate was made from. Raises `Refused` where it is not there as it was."""
+        try:
+            content = (self.folder / MADE_FROM / digest).read_bytes()
+        except OSError as error:
+            raise Refused(f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror})") from error
+        if hashlib.sha256(content).hexdigest() != digest:
+            raise Refused(f"{self.folder / MADE_FROM / digest}: was changed; take it from a copy")
+        return content
+
+    def damaged_files(self) -> list[str]:
+        """Say which issued files are missing or changed."""
+        wrong = []
+        for standing in self.standings.values():
+            for name in standing.entry.files:
+                try:
+                    self.file(name)
+                except Refused as error:
+                    wrong.append(str(error))
+        return wrong
+
+    def _append(self, entry: Entry) -> None:
+        told = {
+            "n": self.count + 1,
+            "time": entry.time,
+            "type": entry.kind,
+            "number": entry.number,
+            "by": entry.by,
+            **entry.data,
+            "prev": self.head,
+        }
+        line = json.dumps(told, ensure_ascii=False).encode()
+        with (self.folder / LINES).open("r+b" if self.length else "w+b") as file:
+            file.seek(self.length)
+            file.truncate()  # a line that was half written when a program was killed
+            file.write(line + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+        _sync_folder(self.folder)
+        self._take(line)
+
+    def catch_up(self) -> None:
+        """Read the lines that others have added, finish what was issued. Raises `Refused` for a changed line."""
+        self.read_lines()
+        for part in self.folder.glob(f"*{_PART}"):
+            self._finish(part)
+
+    def read_lines(self) -> None:
+        """Read the lines that others have added, and touch nothing. Raises `Refused` for a changed line."""
+        path = self.folder / LINES
+        if (path.stat().st_size if path.exists() else 0) < self.length:
+            raise Refused(f"{path}: lines were taken off its end; take it from a copy")
+        if path.exists():
+            with path.open("rb") as file:
+                file.seek(self.length)
+                for line in file:
+                    if line.endswith(b"\n"):
+                        self._take(line[:-1])
+
+    def _take(self, line: bytes) -> None:
+        where = f"{self.folder / LINES}, line {self.count + 1}"
+        try:
+            told = read_json(line)
+            n, previous = told.pop("n"), told.pop("prev")
+            kind, number = told.pop("type"), told.pop("number")
+            entry = Entry(kind, number, told.pop("time"), told.pop("by"), told)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise Refused(f"{where}: not a line of a register ({error}); take it from a copy") from None
+        if previous != self.head or n != self.count + 1:
+            raise Refused(
+                f"{where}: the chain is broken here (a line was changed or removed); take it from a copy"
+            )
+        self._note(entry, where)
+        self.head = hashlib.sha256(line).hexdigest()
+        self.length += len(line) + 1
+        self.count = n
+
+    def _note(self, entry: Entry, where: str) -> None:
+        standing = self.standings.get(entry.number)
+        if entry.kind == ISSUED:
+            if standing is not None:
+                raise Refused(f"{where}: number {entry.number} was issued twice; take it from a copy")
+            self.standings[entry.number] = Standing(entry)
+            before = entry.data.get("before") or {}
+            old = self.standings.get(str(before.get("number")))
+            if old is not None:
+                self.standings[old.entry.number] = Standing(old.entry, str(before["kind"]), entry.number)
+        elif entry.kind == REVOKED and standing is not None:
+            self.standings[entry.number] = Standing(
+                standing.entry, REVOKED, str(entry.data.get("reason", ""))
+            )
+        else:
+            raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
+
+    def _put_in_place(self, entry: Entry) -> None:
+        """Give the files of a certificate their own names."""
+        for name in entry.files:
+            (self.folder / (name + _PART)).replace(self.folder / name)
+        _sync_folder(self.folder)
+
+    def _finish(self, part: Path) -> None:
+        """Give a file that was issued its own name; take away what a program that was killed did not issue."""
+        name = part.name.removesuffix(_PART)
+        standing = self.standings.get(name.rsplit(".", 1)[0])
+        stated = None if standing is None else standing.entry.files.get(name)
+        if stated is None:
+            part.unlink()
+        elif not (self.folder / name).exists() and hashlib.sha256(part.read_bytes()).hexdigest() == stated:
+            part.replace(self.folder / name)
+            _sync_folder(self.folder)
+
+
+@contextlib.contextmanager
+def opened(folder: Path, known: Register | None = None) -> Iterator[Register]:
+    """Open the register in a folder, made where there is none; `known` is one of it that was open before.
+
+    Raises `Refused` where it cannot be believed or written, or where another program keeps it open.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / _LOCK, timeout=WAIT_S)
+        with lock:
+            register = known or Register(folder)
+            register.catch_up()
+            yield register
+    except Timeout:
+        raise Refused(
+            f"{folder}: another program keeps the register open; try again when it has ended"
+        ) from None
+    except OSError as error:
+        raise Refused(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+
+
+def _write_through(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    """Let the names in a folder outlast a loss of power, where the system can."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

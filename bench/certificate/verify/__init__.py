@@ -1,0 +1,1 @@
+"""Whether a certificate is intact, who signed it, and what that does not prove."""

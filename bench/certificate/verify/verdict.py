@@ -1,0 +1,276 @@
+"""A certificate looked at: both signatures, what they agree on, the record where it is at hand."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bench.api.errors import Refused
+from bench.base.regular import read_given
+from bench.certificate.paper.check import faults_of
+from bench.certificate.paper.page import DCC, RELATIONS
+from bench.certificate.signature.pades import SignedPdf, check_pdf
+from bench.certificate.signature.signatory import certificates_in, fingerprint_of, name_of
+from bench.certificate.signature.trust import why_not_trusted
+from bench.certificate.signature.xades import NotIntact, SignedXml, check_xml
+from bench.certificate.verify.record import held_against_record
+from bench.certificate.verify.shown import Shown, shown_of
+
+if TYPE_CHECKING:
+    from cryptography.x509 import Certificate
+
+NOT_PROVED: Final = (
+    "when it was signed: the time is the signer's own word, no authority stamped it",
+    "that the signer's certificate had not been withdrawn: no list of withdrawn ones was asked",
+    "that what was measured is true, nor that the certificate is still valid: the laboratory's register knows what "
+    "was amended or revoked",
+)
+PAGES_NOT_READ: Final = (
+    "that the pages print what the data say: both were signed by one key, and only the data were compared"
+)
+RECORD_NOT_HERE: Final = "that the record gives these results: the record is not at hand"
+UNKNOWN: Final = (
+    "who signed: the certificate in it says a name, and anybody can write one; --trust FILE names the laboratory's "
+    "own, got from the laboratory"
+)
+
+
+@dataclass
+class Verdict:
+    """What was found of a certificate; `wrong` says why it is not intact, `agreed` what was held against what.
+
+    `why_not_trusted` is None without a trust file, "" where it stands for the signer. `shown` is what was signed.
+    """
+
+    file: str
+    wrong: list[str] = field(default_factory=list)
+    agreed: list[str] = field(default_factory=list)
+    not_signed: list[str] = field(default_factory=list)
+    not_proved: list[str] = field(default_factory=list)
+    signer: str = ""
+    fingerprint: str = ""
+    signed_at: str = ""
+    why_not_trusted: str | None = None
+    shown: Shown | None = None
+
+    @property
+    def intact(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not self.wrong
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is intact, and by whom the trust file stands for, where one was given."""
+        return self.intact and not self.why_not_trusted
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a line."""
+        if not self.intact:
+            return "NOT INTACT"
+        if self.why_not_trusted is None:
+            return "intact, signer unknown"
+        return "intact, signer not trusted" if self.why_not_trusted else f"intact, signed by {self.signer}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        return {
+            "file": self.file,
+            "verdict": self.headline,
+            "intact": self.intact,
+            "trusted": None if self.why_not_trusted is None else not self.why_not_trusted,
+            "why_not_trusted": self.why_not_trusted,
+            "wrong": self.wrong,
+            "agreed": self.agreed,
+            "signer": {
+                "name": self.signer,
+                "certificate_sha256": self.fingerprint,
+                "signed_at": self.signed_at,
+            },
+            "signed": None if self.shown is None or not self.intact else self.shown.to_json(),
+            "not_signed": self.not_signed,
+            "not_proved": self.not_proved,
+        }
+
+
+def verify_certificate(file: Path, trust: Path | None, runs: Path) -> Verdict:
+    """Look at a certificate, PDF or XML, and at the other form of it where that stands beside it.
+
+    `trust` has the certificates (PEM) of signers, or of authorities, that are believed. Raises `Refused` for files
+    that cannot be read.
+    """
+    trusted = None if trust is None else certificates_in(trust)
+    content = _content(file)
+    verdict = Verdict(str(file))
+    try:
+        if content.lstrip()[:1] == b"<":
+            _verify_xml(verdict, content, trusted)
+            beside, other = file.with_suffix(".pdf"), "PDF"
+            if beside.is_file() and verdict.intact:
+                _hold_together(verdict, _content(beside), content, beside.name)
+        else:
+            attached = _verify_pdf(verdict, content, trusted)
+            beside, other = file.with_suffix(".xml"), "XML"
+            if beside.is_file() and verdict.intact:
+                _hold_beside(verdict, attached[DCC], _content(beside), beside.name)
+        if not beside.is_file() and other == "PDF":
+            verdict.not_proved.append(
+                f"that there is a {other} that says the same: {beside.name} is not beside it"
+            )
+    except NotIntact as error:
+        verdict.wrong.append(str(error))
+    if verdict.shown is not None and verdict.intact:
+        _against_record(verdict, verdict.shown, runs)
+    verdict.not_proved += NOT_PROVED
+    if verdict.why_not_trusted is None:
+        verdict.not_proved.insert(0, UNKNOWN)
+    return verdict
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return read_given(file)
+    except OSError as error:
+        raise Refused(f"{file}: cannot be read ({error.strerror})") from error
+
+
+# --- the two forms ------------------------------------------------------------------------------------
+
+
+def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate] | None) -> SignedXml:
+    signed = check_xml(document)
+    _name_signer(verdict, signed, trusted)
+    shown = shown_of(signed.content)
+    _agree_on_numbers(shown)
+    verdict.shown = shown
+    verdict.agreed.append("the coefficients of the digital certificate are those of the result that it holds")
+    if signed.comments:
+        verdict.not_signed.append(
+            f"{signed.comments} comments in the XML, which nobody signed and are not shown"
+        )
+    return signed
+
+
+def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | None) -> dict[str, bytes]:
+    signed = check_pdf(file)
+    _name_signer(verdict, signed, trusted)
+    if faults := faults_of(file):
+        raise NotIntact(f"it is not the PDF/A-3b that a certificate is: {'; '.join(faults)}")
+    attached, title = _attached(file)
+    if set(attached) != set(RELATIONS):
+        raise NotIntact(
+            f"attached are {', '.join(sorted(attached))}, and a certificate has {', '.join(sorted(RELATIONS))}"
+        )
+    try:
+        digital = _verify_xml(verdict, attached[DCC], trusted)
+    except NotIntact as error:
+        raise NotIntact(f"the attached {DCC}: {error}") from error
+    verdict.signed_at = signed.signed_at.isoformat()
+    assert verdict.shown is not None  # noqa: S101 - what was verified is shown
+    _agree(verdict, signed, digital, verdict.shown, attached, title)
+    return attached
+
+
+def _agree(
+    verdict: Verdict,
+    paper: SignedPdf,
+    digital: SignedXml,
+    shown: Shown,
+    attached: dict[str, bytes],
+    title: str,
+) -> None:
+    """Raise `NotIntact` unless paper and digital certificate have signer, number and files in common."""
+    if fingerprint_of(paper.chain[0]) != fingerprint_of(digital.chain[0]):
+        raise NotIntact(
+            f"the PDF was signed by {name_of(paper.chain[0])}, its XML by {name_of(digital.chain[0])}"
+        )
+    if digital.signed_at > paper.signed_at:
+        raise NotIntact("the XML in it says to have been signed after the PDF")
+    if not shown.number or not title.endswith(f" {shown.number}"):
+        raise NotIntact(f"the PDF is of '{title}', its XML of certificate {shown.number}")
+    for name, content in shown.files.items():
+        if attached.get(name) != content:
+            raise NotIntact(f"{name} in the XML is another than {name} in the PDF")
+    verdict.agreed.append("PDF and XML have signer, number, result and seal in common")
+    verdict.not_proved.append(PAGES_NOT_READ)
+
+
+def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
+    """Hold an XML against the PDF beside it."""
+    apart = Verdict(name)
+    try:
+        attached = _verify_pdf(apart, file, None)
+    except NotIntact as error:
+        raise NotIntact(f"{name} beside it: {error}") from error
+    _hold_beside(verdict, attached[DCC], document, name)
+
+
+def _hold_beside(verdict: Verdict, attached: bytes, document: bytes, name: str) -> None:
+    """Raise `NotIntact` unless the XML within the PDF and the one beside it say the same, by the same signer."""
+    try:
+        within, outside = check_xml(attached), check_xml(document)
+    except NotIntact as error:
+        raise NotIntact(f"{name} beside it: {error}") from error
+    same = fingerprint_of(within.chain[0]) == fingerprint_of(outside.chain[0])
+    if within.content != outside.content or not same:
+        raise NotIntact(f"{name} beside it is another certificate than the one in it")
+    verdict.agreed.append(f"{name} beside it says the same")
+
+
+def _attached(file: bytes) -> tuple[dict[str, bytes], str]:
+    import pikepdf
+
+    try:
+        with pikepdf.open(io.BytesIO(file)) as pdf:
+            found = {name: one.get_file().read_bytes() for name, one in pdf.attachments.items()}
+            with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as told:
+                return found, str(told.get("dc:title", ""))
+    except (pikepdf.PdfError, ValueError, KeyError, AttributeError) as error:
+        raise NotIntact("what is attached to it cannot be read") from error
+
+
+def _name_signer(
+    verdict: Verdict, signed: SignedPdf | SignedXml, trusted: Sequence[Certificate] | None
+) -> None:
+    verdict.signer, verdict.fingerprint = name_of(signed.chain[0]), fingerprint_of(signed.chain[0])
+    verdict.signed_at = signed.signed_at.isoformat()
+    if trusted is not None and not verdict.why_not_trusted:
+        verdict.why_not_trusted = why_not_trusted(signed.chain, signed.signed_at, trusted)
+
+
+# --- numbers and record ---------------------------------------------------------------------------------
+
+
+def _agree_on_numbers(shown: Shown) -> None:
+    """Raise `NotIntact` unless the coefficients as a list are those of the result that the XML holds."""
+    if not shown.coefficients or "result.json" not in shown.files:
+        raise NotIntact("the digital certificate has no coefficients, or not the result that they are of")
+    try:
+        result = json.loads(shown.files["result.json"])
+        covariance = tuple(tuple(float(one) for one in row) for row in result["covariance"])
+        stated = {name: result["coefficients"][name] for name in result["order"]}
+        values = {name: float(one["value"]) for name, one in stated.items()}
+        u = {name: float(one["u"]) for name, one in stated.items()}
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise NotIntact("the result in the digital certificate cannot be read") from error
+    if values != {one.name: one.value for one in shown.coefficients} or covariance != shown.covariance:
+        raise NotIntact(
+            "the coefficients of the digital certificate are not those of the result that it holds"
+        )
+    if not all(math.isclose(one.U, one.k * u[one.name], rel_tol=1e-12) for one in shown.coefficients):
+        raise NotIntact("U of a coefficient is not k times its u")
+
+
+def _against_record(verdict: Verdict, shown: Shown, runs: Path) -> None:
+    held = held_against_record(shown, runs)
+    if held is None:
+        verdict.not_proved.append(RECORD_NOT_HERE)
+    else:
+        verdict.wrong += filter(None, [held.wrong])
+        verdict.agreed += filter(None, [held.told])
+        verdict.not_proved += filter(None, [held.open])

@@ -1,0 +1,83 @@
+"""The panel's application: which address leads to which page."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.routing import Route
+
+from bench.api.errors import Refused
+from bench.base.forms import FileMistakes
+from bench.panel import assets
+from bench.panel.access.gate import Gate
+from bench.panel.access.people import Refusal
+from bench.panel.pages import control, live, refused, runs, sign_in, start, verdict
+from bench.panel.panel import Panel
+from bench.panel.settings import Settings
+from bench.readings.csv import ReadingsError
+from bench.run.manifest import RecordError
+from drivers.interfaces import BenchError
+
+ROUTES = [
+    Route("/", runs.runs),
+    Route("/sign-in", sign_in.sign_in, methods=["GET"]),
+    Route("/sign-in", sign_in.signed_in, methods=["POST"]),
+    Route("/sign-out", sign_in.sign_out, methods=["POST"]),
+    Route("/static/{hash}/{name}", assets.send_asset),
+    Route("/start", start.form, methods=["GET"]),
+    Route("/start", start.check, methods=["POST"]),
+    Route("/start/{wish}", start.found),
+    Route("/start/{wish}/go", start.go, methods=["POST"]),
+    Route("/runs/{name}/", live.run),
+    Route("/runs/{name}/answer", control.answer, methods=["POST"]),
+    Route("/runs/{name}/wish", control.wish, methods=["POST"]),
+    Route("/runs/{name}/control", control.control, methods=["POST"]),
+    Route("/runs/{name}/resume", control.resume, methods=["POST"]),
+    Route("/runs/{name}/give-up", control.give_up, methods=["POST"]),
+    Route("/runs/{name}/verdict", verdict.verdict),
+    Route("/runs/{name}/report", verdict.report),
+    Route("/runs/{name}/diagnosis", verdict.diagnosis),
+    Route("/runs/{name}/diagnose", verdict.diagnose, methods=["POST"]),
+    Route("/runs/{name}/figures/{figure}", verdict.figure),
+    Route("/runs/{name}/certificate/{file}", verdict.certificate),
+    Route("/runs/{name}/state", live.state),
+    Route("/runs/{name}/stream", live.stream),
+    Route("/runs/{name}/check-answer", live.check_answer),
+]
+
+KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError)
+"""Errors that were made to be read by a person: what a record or a file is like is no defect of the panel."""
+
+
+def make_app(settings: Settings) -> Starlette:
+    """Return the application of a panel. Raises `RecordError` where it cannot keep what it keeps."""
+    panel = Panel(settings)
+    app = Starlette(
+        routes=ROUTES,
+        lifespan=_reading(panel),
+        middleware=[Middleware(Gate, settings=settings, refuse=refused.refused)],
+        exception_handlers={
+            HTTPException: refused.by_framework,
+            Refusal: refused.by_refusal,
+            **dict.fromkeys(KNOWN, refused.by_record),
+        },
+    )
+    app.state.panel = panel
+    return app
+
+
+def _reading(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[None]]:
+    """Return what reads the runs once while the panel begins to serve, so that the first page need not."""
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        threading.Thread(target=panel.table.read_all, daemon=True).start()
+        yield
+        panel.followers.close()
+
+    return lifespan

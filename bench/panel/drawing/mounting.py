@@ -1,0 +1,222 @@
+"""The platform with the block on it and the turn of the head, drawn from the installation's model as SVG.
+
+Seen from the end of the shaft, a little from above and the right, so that the shaft, which points away from
+whoever looks, is seen too. On the platform x lies level to the right and z up while the head stands at 0°; a
+rising angle turns them against the clock. Colours come from the page by classes; every axis has its letter,
+so that none is told by its colour alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.model import Installation
+from drivers.angles import format_dms
+
+RIGHT: Final = np.array([1.0, 0.0])
+UP: Final = np.array([0.0, -1.0])
+AWAY: Final = np.array([0.42, -0.34])
+"""Where a step to the right, up and away from whoever looks leads on the sheet, whose second axis points down."""
+
+WIDTH, HEIGHT, CENTRE = 400, 360, np.array([190.0, 195.0])
+SCALE: Final = 100.0
+DISC, CUBE, AXIS, SHAFT = 1.28, 0.42, 0.98, 3.6
+DEPTH: Final = 0.16
+NAMED: Final = AXIS + 0.14
+FOOT: Final = np.array([WIDTH / 2, HEIGHT - 12.0])
+
+
+def on_sheet(point: Floats) -> Floats:
+    """Return where on the sheet a point is that lies so far right, away and up, shape (..., 3) to (..., 2)."""
+    place: Floats = CENTRE + SCALE * (point @ np.array([RIGHT, AWAY, UP]))
+    return place
+
+
+def turned(angle_rad: float) -> Floats:
+    """Return the platform's axes x, y, z in steps right, away and up at an angle of the head, shape (3, 3)."""
+    s, c = math.sin(angle_rad), math.cos(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def block_axes(installation: Installation, angle_rad: float) -> Floats:
+    """Return the block's axes x, y, z in steps right, away and up, shape (3, 3)."""
+    return installation.block_from_platform @ turned(angle_rad)
+
+
+@dataclass
+class Sheet:
+    """Shapes, in the order in which they are drawn."""
+
+    shapes: list[str] = field(default_factory=list)
+
+    def line(self, kind: str, start: Floats, end: Floats, more: str = "") -> None:
+        """Draw a line between two places on the sheet."""
+        (x1, y1), (x2, y2) = start, end
+        self.shapes.append(
+            f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"{more}/>'
+        )
+
+    def path(self, kind: str, points: Floats, *, closed: bool = False, more: str = "") -> None:
+        """Draw a line through places on the sheet, shape (n, 2)."""
+        d = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
+        self.shapes.append(f'<path class="{kind}" d="{d}"{more}/>')
+
+    def words(self, kind: str, at: Floats, text: str, anchor: str = "middle") -> None:
+        """Write words about a place on the sheet."""
+        self.shapes.append(
+            f'<text class="{kind}" x="{at[0]:.1f}" y="{at[1]:.1f}" text-anchor="{anchor}" '
+            f'dominant-baseline="central">{escape(text)}</text>'
+        )
+
+    def arrow(self, kind: str, points: Floats, size: float = 11.0, more: str = "") -> None:
+        """Draw a line with a head at its end."""
+        self.path(kind, points, more=more)
+        end, before = points[-1], points[-2]
+        along = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
+        across = np.array([-along[1], along[0]])
+        tip = end + along * size * 0.6
+        self.path(
+            f"{kind} head", np.array([tip, end - along * size * 0.5 + across * size * 0.5,
+                                      end - along * size * 0.5 - across * size * 0.5]), closed=True,
+        )  # fmt: skip
+
+    def svg(self, words: str) -> str:
+        """Return the drawing; `words` say what is to be seen to who does not see it."""
+        return (
+            f'<svg class="drawing" xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
+            f'aria-label="{escape(words)}">{"".join(self.shapes)}</svg>'
+        )
+
+
+def mounting(installation: Installation, angle_rad: float = 0.0) -> str:
+    """Return the block as it is to be mounted, with the head at an angle."""
+    sheet = Sheet()
+    _bench(sheet, angle_rad)
+    _block(sheet, installation, angle_rad)
+    sheet.words("target", FOOT, f"installation {installation.label}")
+    return sheet.svg(f"installation {installation.label}: {in_words(installation, angle_rad)}")
+
+
+def turn(installation: Installation | None, from_rad: float | None, to_rad: float, direction: int) -> str:
+    """Return the block where the head is to be turned to, and by an arrow from where and from which side.
+
+    `direction` is +1 for an approach with rising angle (against the clock), -1 with falling; `from_rad` is
+    where the head stands, None where that is not known.
+    """
+    sheet = Sheet()
+    _bench(sheet, to_rad)
+    if installation is not None:
+        _block(sheet, installation, to_rad)
+    _way(sheet, from_rad, to_rad, direction)
+    sense = "against the clock (angle rising)" if direction > 0 else "with the clock (angle falling)"
+    words = f"turn to {format_dms(to_rad % math.tau)}, arriving {sense}"
+    if installation is not None:
+        words += f"; then {in_words(installation, to_rad)}"
+    return sheet.svg(words)
+
+
+def in_words(installation: Installation, angle_rad: float) -> str:
+    """Say where each axis of the block points: "x points right, y away from you along the shaft, z up"."""
+    said = [
+        f"{channel} points {_where(axis)}"
+        for channel, axis in zip(CHANNELS, block_axes(installation, angle_rad), strict=True)
+    ]
+    return ", ".join(said)
+
+
+_WAYS: Final = (
+    ("right", "left"),
+    ("away from you along the shaft", "towards you along the shaft"),
+    ("up", "down"),
+)
+
+
+def _where(axis: Floats) -> str:
+    """Say where an axis points, the larger part first; parts below 1° are left out."""
+    order = np.argsort(-np.abs(axis), kind="stable")
+    return " and ".join(
+        _WAYS[i][int(axis[i] < 0)] for i in order if abs(axis[i]) > math.sin(math.radians(1.0))
+    )
+
+
+def _circle(
+    radius: float, away: float, start_rad: float = 0.0, end_rad: float = math.tau, steps: int = 72
+) -> Floats:
+    """Return an arc about the shaft on the sheet; 0 is up, and angles rise as those of the head, against the
+    clock."""
+    angle = np.linspace(start_rad, end_rad, steps)
+    points = np.stack([-radius * np.sin(angle), np.full(steps, away), radius * np.cos(angle)], axis=-1)
+    return on_sheet(points)
+
+
+def _bench(sheet: Sheet, angle_rad: float) -> None:
+    """Draw the shaft, the platform as a disc across it with its scale, and the level."""
+    sheet.line("shaft", on_sheet(np.array([0.0, 0.3, 0.0])), on_sheet(np.array([0.0, SHAFT, 0.0])))
+    sheet.words("quiet", on_sheet(np.array([0.0, SHAFT, 0.0])) + np.array([6.0, -18.0]), "shaft")
+    sheet.path("disc back", _circle(DISC, CUBE + DEPTH), closed=True)
+    sheet.path("disc", _circle(DISC, CUBE), closed=True)
+    for degrees in range(0, 360, 15):
+        inner = 0.9 if degrees % 45 == 0 else 0.95
+        mark = _circle(DISC * inner, CUBE, angle_rad + math.radians(degrees), steps=1)[0]
+        rim = _circle(DISC, CUBE, angle_rad + math.radians(degrees), steps=1)[0]
+        sheet.line("zero" if degrees == 0 else "mark", mark, rim)
+    level = on_sheet(np.array([[-1.75, CUBE, -1.5], [1.75, CUBE, -1.5]]))
+    sheet.line("level", level[0], level[1])
+    sheet.words("quiet", level[0] + np.array([4.0, 13.0]), "level", "start")
+
+
+def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
+    """Draw the cube with the block's axes, those that point away first."""
+    frame = turned(angle_rad)
+    for normal, corners in _faces(frame):
+        sheet.path("face front" if normal[1] < -0.5 else "face", on_sheet(corners), closed=True)
+    axes = block_axes(installation, angle_rad)
+    for i in np.argsort(-axes[:, 1], kind="stable"):
+        channel, axis = CHANNELS[i], axes[i]
+        line = on_sheet(np.array([CUBE * 0.2 * axis, AXIS * axis]))
+        sheet.arrow(f"axis {channel}", line, more=f' data-axis="{channel}"')
+        sheet.words(f"letter {channel}", on_sheet(NAMED * axis) + _aside(axis), channel)
+
+
+def _aside(axis: Floats) -> Floats:
+    """Return by how much a letter stands beside its axis: one along the shaft is short on the sheet."""
+    return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
+
+
+def _seen(normal: Floats) -> bool:
+    """Whether a face is turned towards whoever looks: the line of sight is the step that leaves a point
+    where it is."""
+    return float(normal @ np.array([-AWAY[0], 1.0, AWAY[1]])) < -1e-9
+
+
+def _faces(frame: Floats) -> list[tuple[Floats, Floats]]:
+    """Return normal and corners of those faces of the cube that are seen."""
+    faces = []
+    for i in range(3):
+        one, two = frame[(i + 1) % 3], frame[(i + 2) % 3]
+        for sign in (1.0, -1.0):
+            normal = sign * frame[i]
+            corners = np.array([normal + a * one + b * two for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+            if _seen(normal):
+                faces.append((normal, CUBE * corners))
+    return faces
+
+
+def _way(sheet: Sheet, from_rad: float | None, to_rad: float, direction: int) -> None:
+    """Draw the way to an angle: an arrow about the shaft that arrives from the side that is asked for.
+
+    It shows the last 50° at most. A head that stands beyond the target goes past it first and comes back.
+    """
+    span = math.radians(50.0)
+    if from_rad is not None:
+        ahead = math.remainder(to_rad - from_rad, math.tau) * direction
+        span = min(span, ahead) if ahead > math.radians(12.0) else math.radians(24.0)
+    sheet.arrow("way", _circle(DISC + 0.17, CUBE, to_rad - direction * span, to_rad, 24), 15.0,
+                more=f' data-direction="{direction}"')  # fmt: skip
+    sheet.words("target", FOOT, f"to {format_dms(to_rad % math.tau)}")

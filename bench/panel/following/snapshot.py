@@ -1,0 +1,298 @@
+"""What is told of a run at a moment, as a page and its script are given it: dicts, lists, texts and numbers
+alone.
+
+The keys, all there in every snapshot (None where there is nothing):
+
+- `run`, `title`, `simulated`, `unit`, `operator`, `procedure`, `bench`: what the run was begun with;
+- `events`: the number of the last; `last_time`: its civil time; `now`: that of the snapshot; `bench_s`;
+- `state`: one word; `alive`: whether a program carries it out; `why`: what stopped it; `to_do`: what is to
+  be done yet;
+- `doing`: what is being done, a sentence; `prompt`: the question that waits, see `prompt_of`; `refused`: why
+  the answer before was not taken; `answered`: the last answer, by whom and where;
+- `where`: `installation`, `series`, `pass`, `point`, `reading` of `readings`, `step` of `steps`, `left_s`,
+  `left`;
+- `angle`: `commanded` and `read` in ° ′ ″, `commanded_deg`, `read_deg`, `off`, `direction`;
+- `reading`: the last: `words`, `channels` of `value`, `scatter`, `drift`, `steady`, `outlier` in words; `rest`;
+- `chamber`: `set_c`, `actual_c`, `actual_time`, `window`; `soak`: the clock of a wait: `words`, `begun_s`,
+  `lasts_s`, `left_s`, `until` (civil time at which it ends, where the run is no simulated one);
+- `warnings`: `n`, `words`, `causes`, `channels`, `stops`, the latest first; `doubt`: whether one of them
+  stopped the run;
+- `log`: the last events, `n`, `time`, `words`, `by`, the latest first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any, Final
+
+from bench.base.arrays import CHANNELS
+from bench.base.numbers import fixed, places, quantity
+from bench.base.words import APPROACH
+from bench.base.words import duration as exact_duration
+from bench.model import Installation
+from bench.panel.following.prompting import prompt_of
+from bench.panel.following.seen import Seen
+from bench.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
+from bench.procedure.steps import precision_in_words
+from bench.readings.reading import Reading
+from bench.run.answers import AskedPrompt
+from bench.run.events import Event
+from bench.run.log import in_words
+from bench.run.sentences import duration
+from bench.run.states import ENDED, RunState
+from bench.run.time_left import TimeLeft
+from drivers.angles import format_dms
+
+LOG_LINES: Final = 14
+DRIFTS: Final = 0.01
+"""A drift that chance makes as rarely is told as one."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What a run was begun with, as far as it is told: the texts of its manifest, and the installations of
+    its bench."""
+
+    run: str
+    title: str
+    simulated: bool
+    unit: str
+    operator: str
+    procedure: str
+    bench: str
+    installations: Mapping[str, Installation]
+    chamber: bool
+
+
+def snapshot(
+    seen: Seen, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
+) -> dict[str, Any]:
+    """Return what is told of a run, of which the question `asked` waits; the keys are said above."""
+    latest = seen.latest
+    return {
+        "run": about.run,
+        "title": about.title,
+        "simulated": about.simulated,
+        "unit": about.unit,
+        "operator": about.operator,
+        "procedure": about.procedure,
+        "bench": about.bench,
+        "events": seen.events,
+        "last_time": None if latest is None else latest.time,
+        "now": now.isoformat(),
+        "bench_s": None if latest is None else latest.bench_s,
+        "state": seen.state.value,
+        "alive": alive,
+        "ended": seen.state in ENDED,
+        "why": seen.why,
+        "to_do": [f"{name}: {what}" for name, what in seen.left_safe.items()],
+        "doing": _doing(seen, alive=alive),
+        "prompt": None if asked is None else prompt_of(asked, seen, about.installations),
+        "refused": None if seen.refused is None else _answer(seen.refused),
+        "answered": None if seen.answered is None else _answer(seen.answered),
+        "where": _where(seen, time_left),
+        "angle": _angle(seen),
+        "reading": _reading(seen),
+        "chamber": _chamber(seen) if about.chamber else None,
+        "soak": _soak(seen, about),
+        "warnings": [_warning(event) for event in reversed(seen.warnings)],
+        "doubt": seen.progress.doubt is not None,
+        "log": [_line(event, seen) for event in list(seen.last)[: -LOG_LINES - 1 : -1]],
+    }
+
+
+def _doing(seen: Seen, *, alive: bool) -> str:
+    """Say in a sentence what is being done."""
+    match seen.state:
+        case RunState.FINISHED | RunState.ABORTED:
+            return f"The run is {seen.state}."
+        case RunState.FAILED | RunState.INTERRUPTED:
+            return f"The run is {seen.state}, and can be gone on with."
+        case _ if not alive:
+            return "No program carries this run out: it ended without a word. It can be gone on with."
+        case RunState.PAUSED:
+            return "Paused: nothing on the bench moves."
+        case RunState.READY:
+            return "The instruments are being opened."
+    if seen.step is None:
+        return "Between two steps."
+    text = seen.plan.steps[seen.step.step].describe()
+    return text[:1].upper() + text[1:]
+
+
+def _where(seen: Seen, time_left: TimeLeft) -> dict[str, Any]:
+    step = _step_at(seen)
+    left_s = None
+    if seen.step is not None:
+        left_s = time_left.at(seen.step.step, seen.step.bench_s)
+    return {
+        "installation": getattr(step, "installation", None) or getattr(seen.mounted, "installation", None),
+        "series": getattr(step, "series", None) or getattr(seen.mounted, "series", None),
+        "pass": getattr(step, "pass_number", None),
+        "point": getattr(step, "point", None),
+        "reading": seen.readings_done,
+        "readings": seen.readings_planned,
+        "step": None if seen.step is None else seen.step.step + 1,
+        "steps": len(seen.plan.steps),
+        "done": len(seen.progress.done | seen.progress.skipped),
+        "left_s": left_s,
+        "left": None if left_s is None else duration(left_s),
+    }
+
+
+def _step_at(seen: Seen) -> Step | None:
+    """Return the step by which the place is told: a wait is between its turn and its reading."""
+    if seen.step is None:
+        return None
+    for step in seen.plan.steps[seen.step.step :]:
+        if isinstance(step, Mount | Turn | Read):
+            return step
+    return None
+
+
+def _angle(seen: Seen) -> dict[str, Any] | None:
+    if seen.turn is None:
+        return None
+    step = seen.plan.steps[seen.turn.step]
+    if not isinstance(step, Turn):
+        return None
+    target_deg = math.degrees(step.target_rad)
+    told: dict[str, Any] = {
+        "commanded": format_dms(step.target_rad),
+        "commanded_deg": round(target_deg, 6),
+        "direction": APPROACH[step.direction],
+        "read": None,
+        "read_deg": None,
+        "off": None,
+    }
+    if seen.turned is not None and seen.turned[0].number > seen.turn.number:
+        read_deg = seen.turned[1].angle_deg
+        off_rad = math.remainder(math.radians(read_deg - target_deg), math.tau)
+        told |= {
+            "read": format_dms(math.radians(read_deg), 1),
+            "read_deg": read_deg,
+            "off": f"{'−' if off_rad < 0 else '+'}{format_dms(abs(off_rad), 1)}",
+        }
+    return told
+
+
+def _reading(seen: Seen) -> dict[str, Any] | None:
+    if seen.taken is None:
+        return None
+    event, reading = seen.taken
+    return {
+        "n": event.number,
+        "time": event.time,
+        "words": f"{reading}"
+        + ("" if reading.angle_deg is None else f" at {format_dms(math.radians(reading.angle_deg))}"),
+        "samples": reading.samples_taken,
+        "channels": [_channel(reading, i) for i in range(len(CHANNELS))],
+        "rest": _rest(seen),
+    }
+
+
+def _channel(reading: Reading, i: int) -> dict[str, Any]:
+    sd, unit = reading.sd[i], reading.unit
+    drift, p, outlier = reading.drift[i], reading.drift_p[i], reading.outlier[i]
+    steady = None if p is None else p >= DRIFTS
+    drifted = ""
+    if drift is not None and p is not None:
+        size = f"{'+' if drift >= 0 else '−'}{quantity(abs(drift), unit)}"
+        drifted = f"{'steady' if steady else 'drifts'} ({size}, p = {p:.2g})"
+    return {
+        "channel": CHANNELS[i],
+        "value": f"{fixed(reading.mean[i], min(places(sd), 7) if sd else 6, sign=True)} {unit}",
+        "scatter": "–" if sd is None else quantity(sd, unit),
+        "drift": drifted or "–",
+        "steady": steady,
+        "outlier": "" if outlier is None else f"sample {outlier.sample} lies {outlier.sigma:.1f} σ out",
+    }
+
+
+def _rest(seen: Seen) -> str:
+    """Say how long what was waited for last took to come to rest."""
+    if seen.rest is None:
+        return ""
+    step, rest = seen.rest
+    return f"{step.what} settled after {duration(rest.settled_s)}, within {precision_in_words(step)}"
+
+
+def _chamber(seen: Seen) -> dict[str, Any]:
+    known = seen.chamber
+    window = None
+    if (
+        (waiting := seen.waiting) is not None
+        and isinstance(waiting[1], Settle)
+        and waiting[1].what == "temperature"
+    ):
+        settle = waiting[1]
+        window = f"within {precision_in_words(settle)} for {exact_duration(settle.window_s)}"
+    return {
+        "set_c": seen.set_c,
+        "actual_c": None if known is None else round(known[1], 3),
+        "actual_time": None if known is None else known[0].time,
+        "window": window,
+    }
+
+
+def _soak(seen: Seen, about: About) -> dict[str, Any] | None:
+    """Return the clock of what is being waited for; of a settling the longest that it may take."""
+    if (waiting := seen.waiting) is None or seen.latest is None:
+        return None
+    event, step = waiting
+    if isinstance(step, Wait):
+        words, lasts_s = step.reason, step.duration_s
+    else:
+        words, lasts_s = f"until the {step.what} settle, at most", step.timeout_s
+    left_s = max(0.0, lasts_s - (seen.latest.bench_s - event.bench_s))
+    until = None
+    if not about.simulated:
+        until = (datetime.fromisoformat(event.time) + timedelta(seconds=lasts_s)).isoformat()
+    return {
+        "words": words,
+        "lasts_s": lasts_s,
+        "lasts": duration(lasts_s),
+        "left_s": left_s,
+        "until": until,
+    }
+
+
+def _warning(event: Event) -> dict[str, Any]:
+    data = event.data
+    return {
+        "n": event.number,
+        "step": data.get("step"),
+        "words": str(data["sentence"]),
+        "causes": [str(cause) for cause in data.get("causes", ())],
+        "channels": [str(channel) for channel in data.get("channels", ())],
+        "stops": bool(data.get("confident")),
+    }
+
+
+def _answer(event: Event) -> dict[str, Any]:
+    data = event.data
+    return {
+        "id": str(data.get("id", "")),
+        "answer": str(data.get("answer", "")),
+        "by": str(data.get("by", "")),
+        "place": str(data.get("where", "")),
+        "why": str(data.get("why", "")),
+    }
+
+
+def _line(event: Event, seen: Seen) -> dict[str, Any]:
+    by = " ".join(str(event.data[name]) for name in ("by", "role", "where") if event.data.get(name))
+    try:
+        words = in_words(event, seen.plan)
+    except (KeyError, IndexError, TypeError):
+        words = event.type
+    return {
+        "n": event.number,
+        "time": event.time,
+        "words": words.replace("_", " ") if words == event.type else words,
+        "by": "" if event.data.get("by") and str(event.data["by"]) in words else by,
+        "kind": event.type,
+    }

@@ -1,0 +1,202 @@
+"""Who is in control of a run: one person, or nobody. What was asked, given and taken stands in the run's folder.
+
+The journal is the only place where it stands, so that it is known again after the server was killed. Control passes
+by a person's word alone; no time runs out on anybody.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+from filelock import FileLock
+
+from bench.base.visible import in_json
+from bench.panel.access.people import Person, Refusal, Role
+from drivers.clock import utc_now
+
+JOURNAL: Final = "holding.jsonl"
+MOST_ASKING: Final = 20
+LARGEST: Final = 4 * 2**20
+"""A journal of so many bytes takes no more asking and denying: neither changes who holds."""
+
+
+class Deed(StrEnum):
+    """What a line of the journal tells."""
+
+    TAKEN = "taken"
+    ASKED = "asked"
+    GRANTED = "granted"
+    DENIED = "denied"
+    RELEASED = "released"
+    FORCED = "forced"
+
+
+WORDS: Final = {
+    "take": Deed.TAKEN,
+    "ask": Deed.ASKED,
+    "grant": Deed.GRANTED,
+    "deny": Deed.DENIED,
+    "release": Deed.RELEASED,
+    "force": Deed.FORCED,
+}
+"""What may be asked for, and what is done then."""
+
+
+@dataclass(frozen=True)
+class Holding:
+    """Who is in control (empty: nobody), since when and how, and who has asked for it, the first first.
+
+    `denied` are those whose asking was turned down since they asked last.
+    """
+
+    holder: str = ""
+    since: str = ""
+    how: str = ""
+    asking: tuple[str, ...] = ()
+    denied: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as pages and their script are given it."""
+        return {
+            "holder": self.holder or None,
+            "since": self.since or None,
+            "how": self.how or None,
+            "asking": list(self.asking),
+            "denied": list(self.denied),
+        }
+
+    def after(self, deed: Deed, who: str, to: str, at: str) -> Holding:
+        """Return what it is after a line of the journal."""
+        match deed:
+            case Deed.TAKEN | Deed.FORCED:
+                return self._held_by(who, at, deed)
+            case Deed.GRANTED:
+                return self._held_by(to, at, deed)
+            case Deed.ASKED:
+                return replace(
+                    self, asking=(*_without(self.asking, who), who), denied=_without(self.denied, who)
+                )
+            case Deed.DENIED:
+                denied = (*_without(self.denied, to), to)[-MOST_ASKING:]
+                return replace(self, asking=_without(self.asking, to), denied=denied)
+            case Deed.RELEASED:
+                return replace(self, holder="", since=at, how=deed)
+
+    def _held_by(self, who: str, at: str, deed: Deed) -> Holding:
+        return Holding(who, at, deed, _without(self.asking, who), _without(self.denied, who))
+
+
+def _without(names: tuple[str, ...], name: str) -> tuple[str, ...]:
+    return tuple(one for one in names if one != name)
+
+
+def read_holding(folder: Path) -> Holding:
+    """Return who is in control of the run in a folder, as its journal says; a line that is none tells nothing."""
+    try:
+        text = _bytes_of(folder / JOURNAL)
+    except OSError:
+        return Holding()
+    return _told(text)
+
+
+def _bytes_of(path: Path) -> bytes:
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+    with os.fdopen(descriptor, "rb") as file:
+        return file.read()
+
+
+def _told(text: bytes) -> Holding:
+    found = Holding()
+    for line in text.splitlines(keepends=True):
+        if not line.endswith(b"\n"):
+            break
+        try:
+            told = json.loads(line)
+            deed, who, at = Deed(told["did"]), str(told["who"]), str(told["at"])
+            found = found.after(deed, who, str(told.get("to", "")), at)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            continue
+    return found
+
+
+def change(
+    folder: Path, word: str, person: Person, to: str = "", now: Callable[[], datetime] = utc_now
+) -> Holding:
+    """Do what a person asks of the control of a run, if it may; return who is in control then.
+
+    Raises `Refusal` with what speaks against it, `OSError` where it cannot be written.
+    """
+    if word not in WORDS:
+        raise Refusal(400, f"ask for one of {', '.join(WORDS)}")
+    path = folder / JOURNAL
+    with _lock(folder):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        with os.fdopen(descriptor, "r+b", buffering=0) as file:
+            text = file.read()
+            before = _told(text)
+            to = _checked(before, word, person, to)
+            if len(text) > LARGEST and word in {"ask", "deny"}:
+                raise Refusal(429, "this was asked too often")
+            line = {"did": WORDS[word].value, "who": person.name, "role": person.role.value}
+            line |= {"to": to} if to else {}
+            line["at"] = now().isoformat()
+            # what a program wrote in part when it was killed is no line, and the next one begins anew
+            start = text.rfind(b"\n") + 1
+            file.truncate(start)
+            file.seek(start)
+            file.write(in_json(json.dumps(line, ensure_ascii=False)).encode() + b"\n")
+            os.fsync(descriptor)
+    return before.after(WORDS[word], person.name, to, line["at"])
+
+
+def _lock(folder: Path) -> FileLock:
+    return FileLock(folder / f".{JOURNAL}.lock", mode=0o600)
+
+
+def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
+    """Return whom it concerns beside the person. Raises `Refusal` where it may not be, or makes no sense."""
+    least = {"force": Role.SUPERVISOR}.get(word, Role.OPERATOR)
+    if not person.role.includes(least):
+        raise Refusal(403, f"{person.name} is signed in as {person.role}; this takes the role {least}")
+    holds = holding.holder == person.name
+    match word:
+        case "take" | "ask" | "force" if holds:
+            raise Refusal(409, f"{person.name} is in control already")
+        case "take" if holding.holder:
+            raise Refusal(409, f"{holding.holder} is in control; ask for it")
+        case "ask" if not holding.holder:
+            raise Refusal(409, "nobody is in control; take it")
+        case "ask" if len(holding.asking) >= MOST_ASKING:
+            raise Refusal(429, "too many ask for it already")
+        case "ask" if person.name in holding.asking:
+            raise Refusal(409, f"{person.name} has asked already")
+        case "grant" | "deny" | "release" if not holds:
+            raise Refusal(
+                403, f"only who is in control may do that, and that is {holding.holder or 'nobody'}"
+            )
+        case "grant" | "deny":
+            to = to or next(iter(holding.asking), "")
+            if to not in holding.asking:
+                raise Refusal(
+                    409, f"{to or 'nobody'} has not asked for it" if to else "nobody has asked for it"
+                )
+            return to
+    return ""
+
+
+def require_holder(folder: Path, person: Person) -> None:
+    """Raise `Refusal` unless a person is in control of the run in a folder, and may be."""
+    if not person.role.includes(Role.OPERATOR):
+        raise Refusal(
+            403, f"{person.name} is signed in as {person.role}; this takes the role {Role.OPERATOR}"
+        )
+    holder = read_holding(folder).holder
+    if holder != person.name:
+        raise Refusal(403, f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} it first")

@@ -1,0 +1,1 @@
+"""Programs that the panel starts: they live on by themselves, whatever becomes of the panel."""

@@ -1,0 +1,64 @@
+"""How the panel looks: one way to fill its templates, and its style and script by name."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from bench.base.numbers import typeset
+from bench.base.visible import visible
+from bench.run.manifest import sha256
+
+REPORT_STYLE: Final = "report.css"
+"""The style of the reports, which the panel's own stands on."""
+
+ASSETS: Final = {
+    REPORT_STYLE: "text/css; charset=utf-8",
+    "panel.css": "text/css; charset=utf-8",
+    "panel.js": "text/javascript; charset=utf-8",
+    "waiting.js": "text/javascript; charset=utf-8",
+    "plots.js": "text/javascript; charset=utf-8",
+    "icon.svg": "image/svg+xml",
+}
+"""What pages load, with its kind. They load nothing else, from nowhere else."""
+
+
+@cache
+def read_asset(name: str) -> bytes:
+    """Return what is loaded by that name. Raises `KeyError` for any but the `ASSETS`."""
+    if name not in ASSETS:
+        raise KeyError(name)
+    if name == REPORT_STYLE:
+        return (files("bench.report") / "templates" / "style.css.j2").read_bytes()
+    return (files("bench.panel") / "static" / name).read_bytes()
+
+
+@cache
+def asset(name: str) -> str:
+    """Return the address of an asset, which changes with what is in it."""
+    return f"/static/{sha256(read_asset(name))[:12]}/{name}"
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("bench.panel", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["typeset"] = typeset
+    environment.globals["asset"] = asset
+    return environment
+
+
+def page(name: str, **content: Any) -> str:
+    """Return the page that a template makes of its content: all escaped, no character in it acts unseen.
+
+    What a page does not give to its template is an error.
+    """
+    return visible(_environment().get_template(name).render(**content))

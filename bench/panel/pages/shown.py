@@ -1,0 +1,18 @@
+"""A page sent to who asked for it, with who that is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import HTMLResponse
+
+from bench.panel import look
+from bench.panel.access.acting import person_of
+
+
+def page(request: Request, name: str, *, status: int = 200, **content: Any) -> HTMLResponse:
+    """Return the page that a template makes of its content, with `person` and `csrf` of who is signed in."""
+    if (person := person_of(request)) is not None:
+        content = {"person": person, "csrf": person.csrf, **content}
+    return HTMLResponse(look.page(name, **content), status_code=status)

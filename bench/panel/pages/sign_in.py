@@ -1,0 +1,78 @@
+"""Signing in by a token or a one-time link, and out."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+from urllib.parse import quote
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from bench.panel.access.acting import acting, fields, panel_of
+from bench.panel.access.people import Refusal, Role
+from bench.panel.access.store import LONGEST_SESSION
+from bench.panel.pages.shown import page
+
+_HERE: Final = re.compile(r"/(?:[^/\\\s][^\\]*)?")
+
+
+def sign_in(request: Request) -> Response:
+    """Show the form; nobody is signed in by looking at it."""
+    asked = request.query_params
+    return _form(request, asked.get("next", "/"), link=asked.get("link", ""))
+
+
+async def signed_in(request: Request) -> Response:
+    """Sign in who has a token or a link that holds."""
+    sent = await fields(request)
+    panel = panel_of(request)
+    link, token = sent.get("link", ""), sent.get("token", "")
+    if link and not panel.settings.loopback:
+        raise Refusal(403, "links sign in on the bench's computer alone; take a token")
+    sign_in_by = panel.access.sign_in_by_link if link else panel.access.sign_in_by_token
+    person = await run_in_threadpool(sign_in_by, link or token)
+    if person is None:
+        wrong = (
+            "this link was used, or is too old; 'bench panel link' makes another"
+            if link
+            else "nobody's token"
+        )
+        return _form(request, sent.get("next", "/"), wrong=wrong, status=403)
+    response = RedirectResponse(_here(sent.get("next", "/")), status_code=303)
+    response.set_cookie(
+        panel.settings.cookie,
+        person.secret,
+        max_age=int(LONGEST_SESSION.total_seconds()),
+        httponly=True,
+        samesite="strict",
+        secure=panel.settings.address.startswith("https:"),
+    )
+    return response
+
+
+async def sign_out(request: Request) -> Response:
+    """End the session."""
+    person, _ = await acting(request, Role.VIEWER)
+    panel = panel_of(request)
+    await run_in_threadpool(panel.access.sign_out, person.secret)
+    response = RedirectResponse("/sign-in", status_code=303)
+    response.delete_cookie(panel.settings.cookie)
+    return response
+
+
+def _form(request: Request, after: str, *, link: str = "", wrong: str = "", status: int = 200) -> Response:
+    return page(
+        request,
+        "sign_in.html.j2",
+        status=status,
+        next=after if _HERE.fullmatch(after) else "/",
+        link=link[:200],
+        wrong=wrong,
+    )
+
+
+def _here(path: str) -> str:
+    """Return a path of this panel: what leads elsewhere leads to the runs."""
+    return quote(path, errors="replace") if _HERE.fullmatch(path) else "/"

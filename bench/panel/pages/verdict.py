@@ -1,0 +1,103 @@
+"""Looking back on a run: the verdict, the report, the diagnosis, and what to measure next."""
+
+from __future__ import annotations
+
+from typing import Final
+from urllib.parse import quote
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from bench.api.errors import Refused
+from bench.panel.access.acting import acting, looking, panel_of
+from bench.panel.access.people import Refusal, Role
+from bench.panel.certificates import Issued
+from bench.panel.folder import read_page
+from bench.panel.launching.carrying import diagnose as begin
+from bench.panel.launching.choices import NEXT
+from bench.panel.pages.shown import page
+from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
+from bench.run.folder import Run
+
+MOST_TOLD: Final = 50
+APART: Final = {
+    "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+}
+"""Of a page that stands by itself, as a file: its own style, and nothing of it acts."""
+
+
+def verdict(request: Request) -> Response:
+    """Show what was found of a run."""
+    run = _run(request)
+    diagnosing = panel_of(request).diagnosing.get(run.name)
+    certificates, trouble = _certificates(request, run)
+    return page(
+        request,
+        "verdict.html.j2",
+        run=run,
+        manifest=run.manifest,
+        found=results_of(run),
+        certificates=certificates,
+        trouble=trouble,
+        further=is_plain(run.folder / NEXT),
+        diagnosing=diagnosing is not None and diagnosing.status is None,
+        not_diagnosed=diagnosing.last_words() if diagnosing is not None and diagnosing.status == 2 else "",
+    )
+
+
+def report(request: Request) -> Response:
+    """Send the report of a run, as it stands in its folder."""
+    return _apart(read_page(_run(request), REPORT), "text/html; charset=utf-8")
+
+
+def diagnosis(request: Request) -> Response:
+    """Send the page of the diagnosis of a run."""
+    return _apart(read_page(_run(request), DIAGNOSIS), "text/html; charset=utf-8")
+
+
+def certificate(request: Request) -> Response:
+    """Send a certificate of a run."""
+    run, name = _run(request), request.path_params["file"]
+    content = panel_of(request).certificates.file(run, name)
+    kind = "application/pdf" if name.endswith(".pdf") else "application/xml"
+    return Response(content, media_type=kind, headers={**APART, "content-disposition": "attachment"})
+
+
+def figure(request: Request) -> Response:
+    """Send a figure of the report as a picture."""
+    return _apart(figure_of(_run(request), request.path_params["figure"]), "image/svg+xml")
+
+
+async def diagnose(request: Request) -> Response:
+    """Begin to diagnose a run, by a process of its own."""
+    await acting(request, Role.OPERATOR)
+    panel = panel_of(request)
+    run = panel.runs.run(request.path_params["name"])
+    at_work = [one for one in panel.diagnosing.values() if one.status is None]
+    before = panel.diagnosing.get(run.name)
+    if before is None or before.status is not None:
+        if len(at_work) >= 2:
+            raise Refusal(429, "two runs are being diagnosed already; wait until one is done")
+        for old in [name for name, one in panel.diagnosing.items() if one.status is not None][:-MOST_TOLD]:
+            del panel.diagnosing[old]
+        panel.diagnosing[run.name] = await run_in_threadpool(begin, run)
+    return RedirectResponse(f"/runs/{quote(run.name)}/verdict", status_code=303)
+
+
+def _certificates(request: Request, run: Run) -> tuple[tuple[Issued, ...], str]:
+    """Return the certificates of a run, and why they cannot be told."""
+    try:
+        return panel_of(request).certificates.of(run), ""
+    except Refused as why:
+        return (), str(why)
+
+
+def _run(request: Request) -> Run:
+    looking(request)
+    return panel_of(request).runs.run(request.path_params["name"])
+
+
+def _apart(content: bytes, kind: str) -> Response:
+    return Response(content, media_type=kind, headers=APART)

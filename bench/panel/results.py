@@ -1,0 +1,267 @@
+"""What was found of a run, as the files in its folder tell it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from bench.base.numbers import fixed, places, scale_for, two_digits
+from bench.base.whole import from_text
+from bench.panel.access.people import Refusal
+from bench.panel.folder import read_page
+from bench.run.folder import Run
+
+CALIBRATE: Final = "calibrate.json"
+VERIFY: Final = "verify.json"
+DIAGNOSE: Final = "diagnose.json"
+REPORT: Final = "report.html"
+DIAGNOSIS: Final = "diagnose.html"
+UNREADABLE: Final = "{}: cannot be read; 'bench report {}' makes it again"
+
+FIGURES: Final = {
+    "residuals": b"Residuals of channels x, y, z against head angle",
+    "residuals-in-time": b"Residuals of channels x, y, z against ",
+    "verification": b"\xce\x94g at ",
+}
+"""Figures of the report by the beginning of what they say they show."""
+
+_STATES: Final = {
+    "pass": "passed",
+    "conditional pass": "conditional",
+    "conditional fail": "conditional",
+    "inconclusive": "none",
+    "not complete": "failed",
+    "fail": "failed",
+}
+_MARKS: Final = {"passed": "✓", "failed": "✗"}
+
+Told = TypeVar("Told")
+
+
+@dataclass(frozen=True)
+class PointRow:
+    """Δg at a verification point in words, and whether the rule accepts it."""
+
+    where: str
+    delta: str
+    expanded: str
+    false_accept: str
+    statement: str
+    passed: bool
+
+
+@dataclass(frozen=True)
+class VerdictTold:
+    """The verdict: `state` of its box and the words, worst |Δg| ± U against the limit, and the risk."""
+
+    state: str
+    words: str
+    worst: str
+    expanded: str
+    k: str
+    limit: str
+    unit: str
+    rule: str
+    risk: str
+    rows: tuple[PointRow, ...]
+    notes: tuple[str, ...]
+    passed: bool
+
+
+@dataclass(frozen=True)
+class CoefficientRow:
+    """A coefficient ± U."""
+
+    name: str
+    value: str
+    expanded: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class CalibrationTold:
+    """The coefficients, what no reading shows, and how well the model fits."""
+
+    rows: tuple[CoefficientRow, ...]
+    hidden: tuple[str, ...]
+    fit: str
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DiagnosisTold:
+    """What the diagnosis says: verdict in words, the effects named, and what would tell more."""
+
+    verdict: str
+    words: str
+    effects: tuple[str, ...]
+    next_why: str
+
+
+@dataclass(frozen=True)
+class Results:
+    """What is there of a run; `trouble` names files that cannot be read."""
+
+    verdict: VerdictTold | None
+    calibration: CalibrationTold | None
+    diagnosis: DiagnosisTold | None
+    files: tuple[str, ...]
+    trouble: tuple[str, ...]
+
+
+def results_of(run: Run) -> Results:
+    """Return what was found of a run."""
+    trouble: list[str] = []
+
+    def told(name: str, words: Callable[[Mapping[str, Any]], Told]) -> Told | None:
+        try:
+            content = from_text(read_page(run, name))
+            return None if content is None else words(content)
+        except Refusal:
+            return None
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, ArithmeticError):
+            trouble.append(UNREADABLE.format(name, run.name))
+            return None
+
+    found = (told(VERIFY, _verdict), told(CALIBRATE, _calibration), told(DIAGNOSE, _diagnosis))
+    there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
+    return Results(*found, tuple(there), tuple(trouble))
+
+
+def is_plain(path: Path) -> bool:
+    """Whether it is a file, and no link."""
+    return path.is_file() and not path.is_symlink()
+
+
+def _in_words(probability: Any) -> str:
+    from bench.analysis.calibration.verdict_words import optional_probability  # takes long to import
+
+    return optional_probability(None if probability is None else float(probability))
+
+
+def _verdict(told: Mapping[str, Any]) -> VerdictTold:
+    limit = float(told["limit_g"])
+    scale = scale_for(limit, "g")
+    points = [_point(one, scale.size) for one in told["points"]]
+    worst = max(told["points"], key=lambda one: abs(float(one["delta_g"])))
+    statement = str(told.get("statement") or ("pass" if told["passed"] else "fail"))
+    state = _STATES.get(statement, "none")
+    expanded = _expanded(worst) / scale.size
+    return VerdictTold(
+        state=state,
+        words=f"{_MARKS.get(state, '–')} {({'pass': 'passed', 'fail': 'failed'}).get(statement, statement)}",
+        worst=fixed(abs(float(worst["delta_g"])) / scale.size, max(places(expanded), 0)),
+        expanded=two_digits(expanded),
+        k=f"{float(worst.get('k', 2.0)):.3g}",
+        limit=f"{limit / scale.size:g}",
+        unit=scale.unit,
+        rule=str(told.get("rule", "")),
+        risk=_risk(told),
+        rows=tuple(points),
+        notes=tuple(map(str, told.get("notes", ()))),
+        passed=bool(told["passed"]),
+    )
+
+
+def _point(one: Mapping[str, Any], size: float) -> PointRow:
+    expanded = _expanded(one) / size
+    risk = one.get("p_false_accept")
+    return PointRow(
+        where=f"{float(one['angle_deg']):.4f}°"
+        + (f" (pass {one['pass']}, point {one['point']})" if "pass" in one else ""),
+        delta=fixed(float(one["delta_g"]) / size, max(places(expanded), 0), sign=True),
+        expanded=two_digits(expanded),
+        false_accept=_in_words(risk),
+        statement=str(one.get("statement", "pass" if one["passed"] else "fail")),
+        passed=bool(one["passed"]),
+    )
+
+
+def _expanded(one: Mapping[str, Any]) -> float:
+    return float(one.get("U", 2.0 * float(one["u"])))
+
+
+def _risk(told: Mapping[str, Any]) -> str:
+    for key, words in (("p_false_accept", "a false acceptance"), ("p_false_reject", "a false rejection")):
+        if told.get(key) is not None:
+            return f"probability of {words}: {_in_words(told[key])}"
+    return ""
+
+
+def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
+    unit = str(told["unit"])
+    rows = []
+    for name in map(str, told["order"]):
+        one = told["coefficients"][name]
+        value, expanded = float(one["value"]), float(one.get("U", 2.0 * float(one["u"])))
+        per = unit if name.startswith("U0") else f"{unit}/g"
+        scale = scale_for(abs(value), unit)
+        size, shown = (scale.size, scale.unit if name.startswith("U0") else f"{scale.unit}/g")
+        if not math.isfinite(size) or size <= 0:
+            size, shown = 1.0, per
+        rows.append(
+            CoefficientRow(
+                name, fixed(value / size, places(expanded / size)), two_digits(expanded / size), shown
+            )
+        )
+    residual = told.get("residual") or {}
+    p = residual.get("p")
+    fit = (
+        ""
+        if p is None
+        else ("no lack of fit is shown at 1 %" if float(p) >= 0.01 else "the model does not fit the readings")
+    )
+    return CalibrationTold(
+        tuple(rows),
+        tuple(map(str, told.get("not_observable", ()))),
+        fit,
+        tuple(map(str, told.get("notes", ()))),
+    )
+
+
+_WORDS: Final = {
+    "agrees": "model and readings agree",
+    "mistake": "a mistake in procedure or wiring",
+    "named": "an effect that the model lacks, named",
+    "confounded": "something is missing, and several explain it equally",
+    "unknown": "something is missing that nothing known explains",
+}
+
+
+def _diagnosis(told: Mapping[str, Any]) -> DiagnosisTold:
+    verdict = str(told["verdict"])
+    effects = []
+    for one in told.get("effects", ()):
+        text = str(one["name"]).replace("_", " ")
+        if one.get("channels"):
+            text += f" (channels {', '.join(map(str, one['channels']))})"
+        if one.get("cannot_tell_from"):
+            text += ", not to be told from " + ", ".join(
+                str(o).replace("_", " ") for o in one["cannot_tell_from"]
+            )
+        effects.append(text)
+    further = told.get("next_measurement") or {}
+    return DiagnosisTold(verdict, _WORDS.get(verdict, verdict), tuple(effects), str(further.get("why", "")))
+
+
+def figure_of(run: Run, name: str) -> bytes:
+    """Return a figure of a run's report as an SVG file. Raises `Refusal` (404) where there is none."""
+    page = read_page(run, REPORT)
+    if name in FIGURES:
+        for found in re.finditer(rb'<svg (?=[^>]*aria-label="([^"]*)")', page):
+            label = found[1]
+            after_other = name == "residuals-in-time" and label.startswith(FIGURES["residuals"])
+            if label.startswith(FIGURES[name]) and not after_other:
+                end = page.find(b"</svg>", found.end())
+                if end > 0:
+                    return _as_file(page[found.start() : end + len(b"</svg>")])
+    raise Refusal(404, f"the report of {run.name} has no such figure")
+
+
+def _as_file(svg: bytes) -> bytes:
+    names = b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+    return svg.replace(b"<svg ", names, 1)

@@ -1,0 +1,375 @@
+"use strict";
+/* The live page of a run: shows what the server sends, sends what a person answers and wishes. It keeps no truth of its own. */
+(() => {
+  const live = document.getElementById("live");
+  if (!live) return;
+  const $ = (id) => document.getElementById(id);
+  const me = { name: live.dataset.person, role: live.dataset.role, csrf: live.dataset.csrf };
+  const LATE_S = 5, OPEN_AGAIN_S = 7;
+  const MARKS = { ready: "○", running: "▶", paused: "❚❚", finished: "✓", failed: "✗", interrupted: "■", aborted: "✗", dead: "✗" };
+
+  let state = JSON.parse(live.dataset.state);
+  let points = [];
+  let heard = performance.now();      /* when the server was heard last */
+  let offset = Date.parse(state.now) - Date.now();
+  let source = null, opened = 0, gone = "";
+  let sentFor = "";                   /* the question that was answered here and still stands */
+  let shownPrompt = null, shownDrawing = "";
+  let checkTimer = 0, checkNumber = 0, sureOf = "";
+
+  const put = (id, text) => { const at = $(id); if (at.textContent !== text) at.textContent = text; };
+  const show = (id, shown) => { $(id).hidden = !shown; };
+  const made = (name, text, kind) => {
+    const one = document.createElement(name);
+    if (text !== undefined) one.textContent = text;
+    if (kind) one.className = kind;
+    return one;
+  };
+  const seconds = (s) => {
+    if (s >= 3600) return `${Math.floor(s / 3600)} h ${String(Math.floor(s % 3600 / 60)).padStart(2, "0")} min`;
+    if (s >= 60) return `${Math.floor(s / 60)} min ${String(Math.floor(s % 60)).padStart(2, "0")} s`;
+    return `${Math.floor(s)} s`;
+  };
+  const now = () => Date.now() + offset;
+  const clock = (iso) => new Date(iso).toLocaleTimeString([], { hour12: false, hour: "2-digit", minute: "2-digit", second: "2-digit" });
+
+  /* --- who may do what: the server decides, the page only shows it ----------------------------------------------- */
+
+  const holder = () => (state.control || {}).holder || "";
+  const holding = () => me.role !== "viewer" && holder() === me.name;
+  const lost = () => (performance.now() - heard) / 1000 > LATE_S || gone !== "";
+
+  const showControl = () => {
+    const control = state.control || {}, asking = control.asking || [];
+    show("who", !state.ended);
+    put("who", holding() ? "You are in control" : holder() ? `${holder()} is in control` : "Nobody is in control");
+    const key = JSON.stringify([control, state.ended]);
+    if ($("control").dataset.key === key) return;
+    $("control").dataset.key = key;
+    const offered = [];
+    const button = (label, act, to) => {
+      const one = made("button", label);
+      one.type = "button";
+      one.addEventListener("click", () => post("control", to ? { do: act, to } : { do: act }));
+      offered.push(one);
+    };
+    if (me.role !== "viewer" && !state.ended) {
+      if (holding()) {
+        for (const name of asking) {
+          offered.push(made("strong", `${name} asks for control`, "name"));
+          button(`Give it to ${name}`, "grant", name);
+          button("Keep it", "deny", name);
+        }
+        button("Let go of control", "release");
+      } else if (!holder()) button("Take control", "take");
+      else {
+        if (asking.includes(me.name)) offered.push(made("span", `${holder()} is asked for it`, "soft"));
+        else button("Ask for control", "ask");
+        if ((control.denied || []).includes(me.name)) offered.push(made("span", `${holder()} keeps it`, "soft"));
+        if (me.role === "supervisor") button("Take over by force", "force");
+      }
+    }
+    const focused = $("control").contains(document.activeElement);
+    $("control").replaceChildren(...offered);
+    if (focused && offered.length) offered[0].focus();
+  };
+
+  const allow = () => {
+    const cut = lost(), going = state.alive && !state.ended;
+    for (const button of $("wishes").querySelectorAll("button")) {
+      const wish = button.dataset.wish;
+      const heardIn = wish === "pause" ? state.state === "running" : wish === "continue" ? state.state === "paused" : true;
+      button.disabled = cut || !going || !heardIn || (wish !== "stop" && !holding());
+    }
+    show("wishes", going);
+    show("look-back", state.ended);
+    show("controls", !state.ended || state.to_do.length > 0);
+    show("resume", !state.alive && !state.ended && me.role !== "viewer");
+    $("resume-button").disabled = cut;
+    const may = holding() && !cut && state.prompt && sentFor !== state.prompt.id;
+    for (const button of $("buttons").querySelectorAll("button")) button.disabled = !may;
+    $("typed").readOnly = !may;
+  };
+
+  /* --- the question ------------------------------------------------------------------------------------------------ */
+
+  const draw = (text) => {
+    if (text === shownDrawing) return;
+    shownDrawing = text;
+    show("drawing", text !== "");
+    if (!text) { $("drawing").replaceChildren(); return; }
+    const parsed = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+    $("drawing").replaceChildren(document.importNode(parsed, true));
+  };
+
+  const askedAnew = (prompt) => {
+    const old = shownPrompt;
+    shownPrompt = prompt;
+    sentFor = "";
+    const typed = $("typed"), same = old && prompt && old.do === prompt.do && old.target === prompt.target && old.kind === prompt.kind;
+    const wants = prompt && (prompt.kind === "angle" || prompt.kind === "number");
+    if (!same) typed.value = "";
+    show("typing", Boolean(wants));
+    if (!prompt) { $("buttons").replaceChildren(); return; }
+    put("typed-label", prompt.kind === "angle" ? "Angle read on the scale" : `Value${prompt.unit ? " in " + prompt.unit : ""}`);
+    typed.placeholder = prompt.kind === "angle" ? "45 00 10" : "";
+    const buttons = prompt.buttons.map((of, i) => {
+      const one = made("button", of.label, i === 0 ? "primary huge" : "");
+      one.type = i === 0 && of.text === "" ? "submit" : "button";
+      if (one.type === "button") one.addEventListener("click", () => ("begin" in of ? begin(of.begin) : answer(of.text)));
+      return one;
+    });
+    if (wants && !prompt.enter) {
+      const one = made("button", "Answer", "primary huge");
+      one.type = "submit";
+      buttons.unshift(one);
+    }
+    const inside = $("answer").contains(document.activeElement) || [document.body, $("main"), $("todo")].includes(document.activeElement);
+    $("buttons").replaceChildren(...buttons);
+    if (inside) (wants ? typed : prompt.enter && buttons.length ? buttons[0] : $("todo")).focus({ preventScroll: true });
+    check();
+  };
+
+  const begin = (words) => {
+    show("typing", true);
+    put("typed-label", "Answer, with the reason");
+    $("typed").value = words;
+    $("typed").focus();
+    check();
+  };
+
+  const label = () => {
+    /* Enter is the default as long as nothing is typed; with something typed it is that. */
+    const submit = $("buttons").querySelector("button[type=submit]");
+    if (!submit || !shownPrompt || !shownPrompt.enter) return;
+    const typed = $("typed").value.trim();
+    const text = typed && !$("typing").hidden ? `Answer ${typed}` : shownPrompt.buttons[0].label;
+    if (submit.textContent !== text) submit.textContent = text;
+  };
+
+  const check = () => {
+    clearTimeout(checkTimer);
+    label();
+    const text = $("typed").value, number = ++checkNumber;
+    if (!shownPrompt || $("typing").hidden || !text.trim()) { told("", ""); return; }
+    checkTimer = setTimeout(async () => {
+      try {
+        const reply = await fetch(`check-answer?${new URLSearchParams({ id: shownPrompt.id, text })}`, { headers: { accept: "application/json" } });
+        if (number !== checkNumber || !reply.ok) return;
+        const found = await reply.json();
+        if (found.problem) told(`✗ ${found.problem}`, "bad");
+        else told(found.understood ? `✓ ${found.understood}` : "✓", "good");
+      } catch { /* the loss of connection is told elsewhere */ }
+    }, 120);
+  };
+
+  const told = (text, kind) => {
+    put("checked", text);
+    $("checked").className = `checked ${kind}`;
+  };
+
+  const answer = async (text) => {
+    if (!shownPrompt || sentFor === shownPrompt.id) return;
+    const id = shownPrompt.id;
+    sentFor = id;
+    allow();
+    const taken = await post("answer", { id, text });
+    if (!taken && sentFor === id) sentFor = "";
+    allow();
+  };
+
+  $("answer").addEventListener("submit", (event) => {
+    event.preventDefault();
+    if (!shownPrompt) return;
+    const text = $("typing").hidden ? "" : $("typed").value.trim();
+    if (text || shownPrompt.enter) { answer(text); return; }
+    told(shownPrompt.kind === "angle" ? "✗ Nothing is typed: read the scale and type what it shows." : "✗ Nothing is typed.", "bad");
+    $("typed").focus();
+  });
+  $("typed").addEventListener("input", check);
+
+  /* --- what is sent ------------------------------------------------------------------------------------------------ */
+
+  const say = (text, kind) => {
+    put("message", text);
+    $("message").className = `note ${kind || ""}`;
+    show("message", text !== "");
+  };
+
+  const post = async (to, body) => {
+    try {
+      const reply = await fetch(to, {
+        method: "POST",
+        headers: { "content-type": "application/json", accept: "application/json", "x-csrf": me.csrf },
+        body: JSON.stringify(body),
+      });
+      const found = await reply.json().catch(() => ({}));
+      if (reply.ok) { say("", ""); return true; }
+      say(found.problem || found.why || found.error || found.text || found.detail || `The panel refused this (${reply.status}).`, "bad");
+    } catch {
+      say("This did not reach the panel: nothing was sent. Try again once the connection is back.", "bad");
+    }
+    return false;
+  };
+
+  for (const button of $("wishes").querySelectorAll("button")) {
+    button.addEventListener("click", () => {
+      const wish = button.dataset.wish, reason = ["skip", "abort"].includes(wish) ? $("reason").value.trim() : "";
+      if (["skip", "abort"].includes(wish) && !reason) { say("Say why first: type the reason beside it.", "bad"); $("reason").focus(); return; }
+      if (wish === "abort" && sureOf !== "abort") {
+        sureOf = "abort";
+        button.textContent = "Give it up for good: press again";
+        setTimeout(() => { sureOf = ""; button.textContent = "Give the run up"; }, 6000);
+        return;
+      }
+      post("wish", { wish, reason }).then((taken) => { if (taken) $("reason").value = ""; });
+    });
+  }
+  $("reasoned").addEventListener("submit", (event) => event.preventDefault());
+  $("resume-button").addEventListener("click", async () => {
+    say("The program that goes on with the run is being started …", "open");
+    if (await post("resume", {})) say("The instruments are being opened …", "open");
+  });
+
+  /* --- what is shown ----------------------------------------------------------------------------------------------- */
+
+  const showState = () => {
+    const word = !state.alive && ["ready", "running", "paused"].includes(state.state) ? "dead" : state.state;
+    const waits = state.prompt && word !== "dead";
+    const text = waits ? (holding() ? "waits for you" : "waits for an answer") : word === "dead" ? "no program" : word;
+    if (state.alive && $("message").classList.contains("open")) say("", "");
+    put("state", `${waits ? "?" : MARKS[word] || "○"} ${text}`);
+    $("state").className = `state ${waits ? "waiting" : word}`;
+    document.title = `${state.prompt && holding() ? "● " : ""}${state.run}: ${text} – calibration bench`;
+
+    const prompt = state.prompt;
+    put("todo", prompt ? prompt.text : state.doing);
+    $("todo").classList.toggle("small", (prompt ? prompt.text : state.doing).length > 140);
+    show("target", Boolean(prompt && prompt.target));
+    if (prompt && prompt.target) {
+      put("target-angle", prompt.target);
+      put("approach", prompt.direction > 0 ? "↺ rising, from below" : "↻ falling, from above");
+    }
+    show("answer", Boolean(prompt));
+    draw(prompt ? prompt.drawing : "");
+    if ((prompt || {}).id !== (shownPrompt || {}).id) askedAnew(prompt);
+    const notes = [];
+    if (prompt && !holding()) notes.push(holder() ? `${holder()} answers here, or somebody at the terminal.` : "Take control to answer here; the terminal answers too.");
+    if (state.refused && state.refused.why) notes.push(`Not taken: “${state.refused.answer}” – ${state.refused.why}.`);
+    else if (state.answered) notes.push(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`);
+    if (state.why) notes.push(state.why);
+    put("told", notes.join(" "));
+
+    const where = state.where;
+    put("installation", where.installation ? `${where.installation}${where.series > 1 ? ` (visit ${where.series})` : ""}` : "–");
+    put("pass", where.pass ? String(where.pass) : "–");
+    put("point", where.point ? String(where.point) : "–");
+    put("reading-count", `${where.reading} of ${where.readings}`);
+    put("left", where.left || "–");
+    $("done").value = where.done;
+    put("steps", `step ${where.step || where.done} of ${where.steps}`);
+
+    const angle = state.angle;
+    put("commanded", angle ? `${angle.commanded} ${angle.direction === "rising" ? "↺" : "↻"}` : "–");
+    put("read-back", angle && angle.read ? angle.read : "–");
+    put("off", angle && angle.off ? angle.off : "–");
+
+    showReading();
+    show("chamber", Boolean(state.chamber && (state.chamber.set_c !== null || state.chamber.actual_c !== null)));
+    if (state.chamber) {
+      put("set-c", state.chamber.set_c === null ? "–" : `${state.chamber.set_c} °C`);
+      put("actual-c", state.chamber.actual_c === null ? "–" : `${state.chamber.actual_c} °C${state.chamber.actual_time ? `, ${clock(state.chamber.actual_time)}` : ""}`);
+      put("window", state.chamber.window || "");
+    }
+    show("soak", Boolean(state.soak));
+    list("warnings", state.warnings, (warning) => {
+      const one = made("div", undefined, `note ${warning.stops ? "bad" : "open"}`);
+      one.append(made("p", `⚠ ${warning.words}`));
+      if (warning.causes.length) one.append(made("p", `probable cause: ${warning.causes.join(" or ")}`, "soft"));
+      return one;
+    }, () => made("p", "none", "soft"));
+    list("log", state.log, (line) => {
+      const one = made("li");
+      one.append(made("span", clock(line.time), "soft"), ` ${line.words}`);
+      if (line.by) one.append(" ", made("span", `(${line.by})`, "soft name"));
+      return one;
+    });
+    list("to-do", state.to_do, (words) => made("li", `still to do: ${words}`));
+    live.dataset.events = state.events;
+    live.dataset.prompt = prompt ? prompt.id : "";
+    live.dataset.ended = state.ended;
+    showControl();
+    allow();
+    tick();
+  };
+
+  const list = (id, items, each, none) => {
+    const key = JSON.stringify(items);
+    if ($(id).dataset.key === key) return;
+    $(id).dataset.key = key;
+    $(id).replaceChildren(...(items.length || !none ? items.map(each) : [none()]));
+  };
+
+  const showReading = () => {
+    const reading = state.reading;
+    if (!reading) return;
+    put("reading-words", `${reading.words}, ${reading.samples} samples, ${clock(reading.time)}`);
+    put("rest", reading.rest);
+    for (const channel of reading.channels) {
+      const cells = document.querySelectorAll(`tr[data-channel="${channel.channel}"] td`);
+      cells[0].textContent = channel.value;
+      cells[1].textContent = channel.scatter;
+      const drift = `${channel.steady === false ? "⚠ " : ""}${channel.drift}${channel.outlier ? `; ⚠ ${channel.outlier}` : ""}`;
+      if (cells[2].textContent !== drift) cells[2].textContent = drift;
+    }
+  };
+
+  /* --- the connection ---------------------------------------------------------------------------------------------- */
+
+  const tick = () => {
+    const silent = (performance.now() - heard) / 1000, cut = lost();
+    document.body.classList.toggle("stale", cut);
+    show("lost", cut);
+    if (cut) put("lost", gone || `✗ No connection to the panel for ${seconds(silent)}: what stands here is old. The run itself is not touched by this.`);
+    const age = state.last_time ? `last event ${seconds(Math.max(0, (now() - Date.parse(state.last_time)) / 1000))} ago` : "no event yet";
+    put("age", `${cut ? "✗ not connected" : "● connected"} · ${age}`);
+    if (state.soak) {
+      const left = state.soak.until ? Math.max(0, (Date.parse(state.soak.until) - now()) / 1000) : state.soak.left_s;
+      put("soak-words", `${state.soak.words} (${state.soak.lasts})`);
+      put("soak-left", `${seconds(left)} left`);
+    }
+    if (cut !== tick.cut) { tick.cut = cut; allow(); }
+    if (silent > OPEN_AGAIN_S && (performance.now() - opened) / 1000 > OPEN_AGAIN_S) open();
+  };
+
+  const took = (event) => { heard = performance.now(); gone = ""; return event.data ? JSON.parse(event.data) : {}; };
+
+  const open = () => {
+    if (source) source.close();
+    opened = performance.now();
+    source = new EventSource("stream");
+    source.addEventListener("state", (event) => {
+      state = took(event);
+      offset = Date.parse(state.now) - Date.now();
+      showState();
+    });
+    source.addEventListener("points", (event) => {
+      const sent = took(event);
+      points = points.slice(0, sent.from).concat(sent.points);
+      BenchPlots.show($("plots"), points, sent.k);
+    });
+    source.addEventListener("beat", (event) => { took(event); tick(); });
+    source.addEventListener("trouble", (event) => { gone = `✗ ${took(event).words}`; gone = gone || "✗"; source.close(); tick(); });
+    source.addEventListener("error", async () => {
+      if (source.readyState !== EventSource.CLOSED) return;
+      const reply = await fetch("state", { headers: { accept: "application/json" } }).catch(() => null);
+      if (reply && reply.status === 401) gone = "✗ You are not signed in any more: load the page again.";
+      tick();
+    });
+  };
+
+  showState();
+  open();
+  setInterval(tick, 500);
+  document.addEventListener("visibilitychange", () => { if (!document.hidden) tick(); });
+})();

@@ -1,0 +1,19 @@
+"use strict";
+// A page that waits for a process: it is asked for again until it waits no more, and shown anew only then.
+(function () {
+  const waiting = document.querySelector("[data-waiting]");
+  if (!waiting) return;
+  async function look() {
+    try {
+      const reply = await fetch(location.href, { headers: { accept: "text/html" }, redirect: "follow" });
+      const page = new DOMParser().parseFromString(await reply.text(), "text/html");
+      const now = page.querySelector("[data-waiting]");
+      if (!now) { location.reload(); return; }
+      if (now.textContent !== waiting.textContent) waiting.textContent = now.textContent;
+    } catch (error) {
+      waiting.textContent = "The panel does not answer; it is asked again.";
+    }
+    setTimeout(look, 1000);
+  }
+  setTimeout(look, 1000);
+})();

@@ -1,0 +1,318 @@
+"""Answers to a run's questions: left in its folder by another program, and what is wrong with one.
+
+A question that can be answered from more than one place stands in the record with an id of its own (`asked`). An
+answer names that id. The program that carries out the run takes the first that fits and refuses every other; what
+it did with an answer stands in the record, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from bench.base.visible import in_json
+from bench.run.control import NOBODY_KNOWN, Who
+from bench.run.events import Event, EventType
+from drivers.angles import format_dms, parse_angle, read_angle
+from drivers.interfaces import Prompt, PromptKind
+from drivers.typed import typed_bubble, typed_supply, typed_temperature
+
+if TYPE_CHECKING:
+    from bench.run.history import History
+
+ANSWERS: Final = "answers.jsonl"
+LONGEST: Final = 4000
+"""No answer has as many characters; a line with more is none."""
+
+YES: Final = frozenset({"y", "yes", "ok", "done"})
+NO: Final = frozenset({"n", "no"})
+REASON: Final = "REASON"
+"""The end of a choice that stands for words of one's own: "go on REASON"."""
+
+# --- answers left in a run's folder ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LeftAnswer:
+    """An answer to the question `id`, as typed, and who gave it; `line` is which of its file it is, from 1.
+
+    `flaw` says why it is none, where a line cannot be read.
+    """
+
+    id: str
+    answer: str
+    who: Who = NOBODY_KNOWN
+    line: int = 0
+    flaw: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Return it as it is left in a run's folder."""
+        return {"id": self.id, "answer": self.answer, **self.who.to_json()}
+
+
+def leave_answer(folder: Path, answer: LeftAnswer) -> None:
+    """Leave an answer in the folder of a run. Raises `OSError` where it cannot be written."""
+    line = in_json(json.dumps(answer.to_json(), ensure_ascii=False)).encode() + b"\n"
+    with (folder / ANSWERS).open("ab", buffering=0) as file:
+        file.write(line)
+
+
+class AnswersFile:
+    """The answers left in the folder of a run, in their order, from the line after the first `heard`."""
+
+    def __init__(self, folder: Path, heard: int = 0) -> None:
+        self._path = folder / ANSWERS
+        self._line = 0
+        self._place = 0
+        while self._line < heard and self._next() is not None:
+            pass
+
+    def poll(self) -> LeftAnswer | None:
+        """Return the next answer, None where there is none; a half-written line waits.
+
+        A line that is no answer comes as one with a `flaw` and no id.
+        """
+        found = self._next()
+        return None if found is None else _read_answer(found, self._line)
+
+    def _next(self) -> bytes | None:
+        """Return the next whole line, however long it is no more than its beginning."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._place)
+                beginning = part = file.readline(8 * LONGEST)
+                length = len(part)
+                while part and not part.endswith(b"\n"):
+                    part = file.readline(8 * LONGEST)
+                    length += len(part)
+        except OSError:
+            return None
+        if not part.endswith(b"\n"):
+            return None
+        self._place += length
+        self._line += 1
+        return beginning
+
+
+def _read_answer(line: bytes, number: int) -> LeftAnswer:
+    try:
+        told = json.loads(line)
+        prompt_id, text = told["id"], told["answer"]
+        if type(prompt_id) is not str or type(text) is not str or len(text) > LONGEST:
+            raise ValueError("neither")
+        return LeftAnswer(prompt_id, text, Who.from_json(told), number)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        beginning = line[:100].decode("utf-8", "backslashreplace").strip()
+        flaw = f"line {number} of {ANSWERS} is no answer"
+        return LeftAnswer("", beginning, Who(where="panel"), number, flaw)
+
+
+# --- the question that stands ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class AskedPrompt:
+    """A question on record: its event, and the prompt, whose `id` is the one that an answer to it names."""
+
+    event: Event
+    prompt: Prompt
+
+
+def asked_to_json(prompt: Prompt) -> dict[str, Any]:
+    """Return what is recorded of a prompt."""
+    return {
+        "id": prompt.id,
+        "kind": prompt.kind.value,
+        "text": prompt.text,
+        "default": prompt.default,
+        "unit": prompt.unit,
+        "choices": prompt.choices,
+        "minimum": prompt.minimum,
+        "maximum": prompt.maximum,
+        "action": prompt.action,
+        "picture": prompt.picture,
+    }
+
+
+def _asked(event: Event) -> AskedPrompt | None:
+    """Return the prompt of an event, None for one that only another version can put."""
+    data = event.data
+    try:
+        prompt = Prompt(
+            id=data["id"],
+            kind=PromptKind(data["kind"]),
+            text=data["text"],
+            default=None if data.get("default") is None else str(data["default"]),
+            unit=str(data.get("unit", "")),
+            choices=tuple(map(str, data.get("choices", ()))),
+            minimum=None if data.get("minimum") is None else float(data["minimum"]),
+            maximum=None if data.get("maximum") is None else float(data["maximum"]),
+            action=data["action"],
+            picture=str(data.get("picture", "")),
+        )
+    except (KeyError, ValueError, TypeError):
+        return None
+    return AskedPrompt(event, prompt)
+
+
+_STANDS: Final = frozenset(
+    {
+        EventType.ASKED,
+        EventType.ANSWER_REFUSED,
+        EventType.WISH_REFUSED,
+        EventType.POWER,
+        EventType.CLOCK_JUMPED,
+        EventType.CHAMBER_SLOW,
+        EventType.SAME_SERIAL,
+        EventType.CERTIFICATE,
+    }
+)
+"""After these a question still stands; after any other event it does not."""
+
+
+@dataclass
+class OpenPrompt:
+    """Follows a run's events, one after the other, and knows which question stands."""
+
+    _event: Event | None = field(default=None, init=False)
+
+    def take(self, event: Event) -> None:
+        """Take note of an event."""
+        if event.type == EventType.ASKED:
+            self._event = event
+        elif event.type not in _STANDS:
+            self._event = None
+
+    @property
+    def prompt(self) -> AskedPrompt | None:
+        """The question that stands, None where none does."""
+        return None if self._event is None else _asked(self._event)
+
+
+def open_prompt(told: History | Iterable[Event]) -> AskedPrompt | None:
+    """Return the question that stands after events of a run, in their order; None where none does.
+
+    Somebody hears an answer only as long as a program carries out the run.
+    """
+    if isinstance(told, Iterable):
+        found = OpenPrompt()
+        for event in told:
+            found.take(event)
+        return found.prompt
+    return told.progress.asked.prompt
+
+
+# --- what is wrong with an answer --------------------------------------------------------------------
+
+
+def problem_with_answer(prompt: Prompt, text: str) -> str:
+    """Say what is wrong with an answer, in words; empty when it fits the prompt's kind, limits and target.
+
+    An empty answer is the prompt's default, where it has one. What is read from a scale or a display is judged by
+    the rules of the driver that asks. Nothing is changed: it can be called while an answer is being typed.
+    """
+    given = text.strip() or prompt.default or ""
+    try:
+        _read_by_eye(prompt, given)
+    except ValueError as trouble:
+        return str(trouble).rstrip(".")
+    match prompt.kind:
+        case PromptKind.CONFIRM:
+            return "" if given.lower() in YES | NO else f"answer yes or no, not {given!r}"
+        case PromptKind.CHOOSE:
+            return _problem_with_choice(prompt, given)
+        case PromptKind.NUMBER:
+            return "" if prompt.action.get("do") in _BY_EYE else _problem_with_number(prompt, given)
+        case PromptKind.ANGLE:
+            return ""
+
+
+def understood_answer(prompt: Prompt, text: str) -> str:
+    """Return how an answer that fits is understood, such as `120° 30′ 15.0″` or `23.5 °C`; empty for another."""
+    if problem_with_answer(prompt, text):
+        return ""
+    given = text.strip() or prompt.default or ""
+    match prompt.kind:
+        case PromptKind.ANGLE:
+            value = _read_by_eye(prompt, given)
+            return given if value is None else _spaced(parse_angle(given))
+        case PromptKind.NUMBER:
+            value = _read_by_eye(prompt, given)
+            if prompt.action["do"] == "read_level":
+                return f"{given} = {math.degrees(value or 0.0) * 3600.0:+.1f}″"
+            return f"{_number(given, prompt.unit) if value is None else value:g} {prompt.unit}".rstrip()
+        case PromptKind.CONFIRM:
+            return "no" if given.lower() in NO else "yes"
+        case PromptKind.CHOOSE:
+            return given
+
+
+_BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supply"})
+
+
+def _read_by_eye(prompt: Prompt, given: str) -> float | None:
+    """Return what was read from a scale or a display (rad, °C, V or A); None where nothing was to be read.
+
+    Raises `ValueError` with the trouble in a sentence.
+    """
+    action: Any = prompt.action  # of a record, which may say anything
+    match action.get("do"), prompt.kind:
+        case "turn", PromptKind.ANGLE:
+            tolerance_rad = float(action.get("tolerance_rad", math.inf))
+            return read_angle(given, float(action["target_rad"]), tolerance_rad)
+        case _, PromptKind.ANGLE if given != prompt.default:
+            return parse_angle(given)
+        case "read_temperature", PromptKind.NUMBER:
+            return _between(prompt, typed_temperature(given))
+        case "read_level", PromptKind.NUMBER:
+            most = float(action.get("most_divisions", math.inf))
+            return typed_bubble(given, float(action["division_rad"]), most)
+        case "read_supply", PromptKind.NUMBER:
+            return typed_supply(given, "A" if prompt.unit == "A" else "V")
+    return None
+
+
+def _problem_with_choice(prompt: Prompt, given: str) -> str:
+    open_ended = [choice.removesuffix(REASON) for choice in prompt.choices if choice.endswith(f" {REASON}")]
+    words = " ".join(given.split())
+    for beginning in open_ended:
+        reason = words[len(beginning) :]
+        if words.lower().startswith(beginning) and reason:
+            return f"say why in place of {REASON}" if reason == REASON else ""
+    fits = words.lower() in prompt.choices if open_ended else given in prompt.choices
+    return "" if fits else f"choose one of {', '.join(prompt.choices)}, not {given!r}"
+
+
+def _problem_with_number(prompt: Prompt, given: str) -> str:
+    try:
+        _between(prompt, _number(given, prompt.unit))
+    except ValueError as trouble:
+        return str(trouble)
+    return ""
+
+
+def _number(given: str, unit: str) -> float:
+    try:
+        if "_" in given:
+            raise ValueError
+        return float(given.replace(",", ".").removesuffix(unit).strip())
+    except ValueError:
+        raise ValueError(f"a number{' in ' + unit if unit else ''} is wanted, not {given!r}") from None
+
+
+def _between(prompt: Prompt, value: float) -> float:
+    if prompt.minimum is not None and value < prompt.minimum:
+        raise ValueError(f"{value:g} is below the least, {prompt.minimum:g} {prompt.unit}".rstrip())
+    if prompt.maximum is not None and value > prompt.maximum:
+        raise ValueError(f"{value:g} is above the most, {prompt.maximum:g} {prompt.unit}".rstrip())
+    if not math.isfinite(value):
+        raise ValueError("a number is wanted")
+    return value
+
+
+def _spaced(angle_rad: float) -> str:
+    return format_dms(angle_rad, 1).replace("°", "° ").replace("′", "′ ")

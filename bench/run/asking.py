@@ -1,0 +1,187 @@
+"""Asks the person of a run wherever an answer may come from: at the terminal, and in the run's folder.
+
+Each question is put on record before it is asked (`asked`), with an id that no other has. The first answer that
+fits counts (`answered`); every other is refused, and on record, too (`answer_refused`). Nothing is ever assumed
+answered: where a run goes on after a kill, its question is put anew, with another id.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from bench.run.answers import AnswersFile, LeftAnswer, asked_to_json, problem_with_answer
+from bench.run.control import NOBODY_KNOWN, Controls, NoControls, RunControl, raised
+from bench.run.events import EventType
+from bench.run.listening import LISTEN_S
+from bench.run.states import Wish
+from bench.run.terminal import TerminalPerson
+from bench.run.typing_help import heard_at
+from drivers.clock import Clock, SystemClock
+from drivers.interfaces import Answer, NoAnswer, Prompt
+
+LOOK_S: Final = 1.0
+"""So often `meanwhile` is called while a question waits."""
+READ_S: Final = 0.7
+"""Nobody reads a question and types its answer faster: what comes sooner at the terminal, after a question that was
+answered elsewhere, was typed for that one."""
+
+Tell = Callable[[EventType, dict[str, Any]], object]
+
+
+class Numbered(Protocol):
+    """A record that knows how many events it has."""
+
+    @property
+    def count(self) -> int:
+        """How many events were written."""
+        ...
+
+
+class _Elsewhere(Exception):
+    """Somebody has answered in the run's folder; its text is the answer."""
+
+
+class Asker:
+    """The person of a run, asked at a terminal (or none) and in the run's `folder`.
+
+    The first `heard` answers in the folder were heard before. Until `attach` the record is told by `tell`, and no
+    wish is heard but the one to stop. `answered_by` is who gave the last answer.
+    It is a `drivers.interfaces.WatchingPerson`.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        record: Numbered,
+        tell: Tell,
+        *,
+        terminal: TerminalPerson | None = None,
+        heard: int = 0,
+        clock: Clock | None = None,
+    ) -> None:
+        self.meanwhile: Callable[[], None] | None = None
+        self.answered_by = NOBODY_KNOWN
+        self.terminal = terminal
+        if terminal is not None:
+            terminal.meanwhile, terminal.slice_s = self._listen, LISTEN_S
+        self._record = record
+        self._tell = tell
+        self._controls: Controls = NoControls()
+        self._wishes: Collection[Wish] | None = ()
+        self._answers = AnswersFile(folder, heard)
+        self._clock = SystemClock() if clock is None else clock
+        self._prompt: Prompt | None = None
+        self._id, self._refused, self._answered = "", "", ""
+        self._looked_s = 0.0
+
+    def attach(self, tell: Tell, controls: Controls) -> None:
+        """Ask for a run from now on, which records by `tell`; the wishes of `controls` are heard at questions."""
+        self._tell, self._controls, self._wishes = tell, controls, None
+        if self.terminal is not None:
+            self.terminal.wishes = None
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Put the prompt and return the first answer that fits, or from the terminal one that the caller refuses.
+
+        Put again after that it is still the same question on record. Raises `OperatorWish` for a wish, and
+        `NoAnswer` where the answers of the terminal have ended.
+        """
+        question = prompt.id.rpartition("#")[0]
+        if not question or question != self._refused:
+            self._id = f"{prompt.id}@{self._record.count + 1}"
+            self._tell(EventType.ASKED, asked_to_json(replace(prompt, id=self._id)))
+        self._prompt, self._refused = prompt, ""
+        try:
+            text = self._in_folder() if self.terminal is None else self._at_terminal(self.terminal, prompt)
+        except _Elsewhere as found:
+            text = str(found)
+        finally:
+            self._prompt = None
+        return Answer(prompt.id, text)
+
+    def drain(self) -> None:
+        """Refuse what is left in the folder while nothing is asked."""
+        while (left := self._answers.poll()) is not None:
+            self._refuse(left, self._why_stale(left))
+
+    # --- where an answer may come from ---------------------------------------------------------------
+
+    def _at_terminal(self, terminal: TerminalPerson, prompt: Prompt) -> str:
+        """Return the line that is typed; one that does not fit, too, for the caller to say so and ask again."""
+        asked_s, after_another = self._clock.now_s(), self.answered_by.where not in ("", terminal.who.where)
+        while True:
+            try:
+                text = terminal.ask(prompt).text
+            except NoAnswer:
+                if prompt.action["do"] != "wait":
+                    raise
+                return self._in_folder()  # who has paused the run may be elsewhere
+            given = LeftAnswer(self._id, text, terminal.who)
+            if not (after_another and terminal.by_hand and self._clock.now_s() - asked_s < READ_S):
+                break
+            self._refuse(given, "it was typed before this question could be read")
+        if problem := problem_with_answer(prompt, text):
+            self._refuse(given, problem)
+            self._refused = prompt.id.rpartition("#")[0]
+        else:
+            self._take(given, prompt)
+        return text
+
+    def _in_folder(self) -> str:
+        while True:
+            self._listen()
+            self._clock.sleep(LISTEN_S)
+
+    def _listen(self) -> None:
+        """Look for wishes and answers, and do meanwhile what is to be done. Raises `_Elsewhere`, `OperatorWish`."""
+        prompt = self._prompt
+        if prompt is None:
+            return
+        if (control := self._controls.poll()) is not None:
+            self._hear(control, prompt)
+        while (left := self._answers.poll()) is not None:
+            if why := self._why_stale(left) or problem_with_answer(prompt, left.answer):
+                self._refuse(left, why)
+                continue
+            self._take(left, prompt)
+            raise _Elsewhere(left.answer.strip())
+        if self.meanwhile is not None and self._clock.now_s() - self._looked_s >= LOOK_S:
+            self._looked_s = self._clock.now_s()
+            self.meanwhile()
+
+    def _hear(self, control: RunControl, prompt: Prompt) -> None:
+        if control.wish in (heard_at(prompt) if self._wishes is None else self._wishes):
+            raise raised(control)
+        told = {
+            "wish": control.wish.value,
+            "why": "it is not heard at this question",
+            **control.who.to_json(),
+        }
+        self._tell(EventType.WISH_REFUSED, told)
+
+    # --- what becomes of it --------------------------------------------------------------------------
+
+    def _why_stale(self, left: LeftAnswer) -> str:
+        if left.flaw:
+            return left.flaw
+        if left.id == self._answered:
+            by = f" by {self.answered_by.by}" if self.answered_by.by else ""
+            return f"the question was answered already{by}"
+        if self._prompt is None:
+            return "no question stands"
+        return "" if left.id == self._id else "it belongs to another question than the one that stands"
+
+    def _take(self, given: LeftAnswer, prompt: Prompt) -> None:
+        self.answered_by, self._answered = given.who, given.id
+        text = given.answer.strip() or prompt.default or ""
+        self._tell(EventType.ANSWERED, _told(replace(given, answer=text)))
+
+    def _refuse(self, given: LeftAnswer, why: str) -> None:
+        self._tell(EventType.ANSWER_REFUSED, {**_told(given), "why": why})
+
+
+def _told(given: LeftAnswer) -> dict[str, Any]:
+    return {**given.to_json(), **({"line": given.line} if given.line else {})}

@@ -1,0 +1,118 @@
+"""Events in a line each, for a person: at the terminal, in the log of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from bench.run.events import Event, EventType
+
+TERMINAL: Final = "terminal"
+"""Where somebody is who answers and wishes at the run's own terminal."""
+
+
+def sentence(event: Event) -> str:
+    """Return an event that a person should know of as one line; of any other, its type."""
+    data = event.data
+    match event.type:
+        case EventType.EARLY_SIGN:
+            return f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}"
+        case EventType.WENT_ON:
+            return f"gone on in spite of '{' or '.join(data['causes'])}': {data['reason']}"
+        case EventType.SAME_SERIAL | EventType.CERTIFICATE:
+            return f"look: {data['words']}"
+        case EventType.STEP_FAILED:
+            return f"failed, tried again: {data['error']}"
+        case EventType.CLOCK_JUMPED:
+            ahead_s = data["ahead_s"]
+            way = "ahead" if ahead_s > 0 else "back"
+            return (
+                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time was set; "
+                "what drifts went on, so take the last point again where that matters"
+            )
+        case EventType.CHAMBER_SLOW:
+            return (
+                f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
+                f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: see that it conditions and is shut"
+            )
+        case EventType.POWER:
+            return _power_in_words(data)
+        case EventType.WARMED_UP if data.get("after_s") is not None:
+            return f"the block is warm, {duration(data['after_s'])} after it was switched on"
+        case EventType.REMOUNTED if data.get("why") == "power":
+            return (
+                f"the block was without power: its further readings in installation {data['installation']} are "
+                f"another visit, series {data['now_series']}"
+            )
+        case EventType.LEFT_SAFE:
+            return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
+    return _of_somebody(event) or event.type
+
+
+def said(event: Event) -> str:
+    """Return an answer on record, and who gave it where, as one line."""
+    by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
+    if event.type == EventType.ANSWERED:
+        return f"answered{by}: {event.data['answer']}"
+    return f"an answer{by} is not taken: {event.data['why']}"
+
+
+def _of_somebody(event: Event) -> str:
+    """Say what somebody answered or wished where that is not seen at the terminal; empty for anything else."""
+    data, by = event.data, _by(event.data)
+    match event.type:
+        case EventType.WISH_REFUSED:
+            return f"{data['wish']}{by} is not possible: {data['why']}"
+        case EventType.ANSWERED | EventType.ANSWER_REFUSED if by:
+            return said(event)
+        case EventType.RUN_PAUSED | EventType.RUN_CONTINUED | EventType.REDO if by:
+            return f"{_DONE[event.type]}{by}"
+        case EventType.RUN_INTERRUPTED if by:
+            return f"stopped{by}"
+    return ""
+
+
+_DONE: Final[Mapping[str, str]] = {
+    EventType.RUN_PAUSED: "paused",
+    EventType.RUN_CONTINUED: "gone on",
+    EventType.REDO: "taken again",
+}
+
+
+def _by(data: Mapping[str, Any]) -> str:
+    """Say who did something and where, empty where that is not known or was at this terminal."""
+    where = data.get("where", "")
+    if where in ("", TERMINAL):
+        return ""
+    at = "by command" if where == "command" else f"in the {where}"
+    return f" {at} by {data['by']}" if data.get("by") else f" {at}"
+
+
+def _power_in_words(data: Mapping[str, Any]) -> str:
+    """Say what was done to the block's supply, or what was seen of it."""
+    rails = ", ".join(
+        f"{name} {rail['voltage_v']:.5g} V, {rail['current_a']:.3g} A"
+        for name, rail in data.get("rails", {}).items()
+    )
+    match data["power"]:
+        case "on":
+            return f"the block is switched on: {rails}"
+        case "found on":
+            return f"the block was found on, and as it is to be: {rails}"
+        case "off":
+            return "the block is switched off"
+        case _:
+            return f"stopped: {'; '.join(map(str, data.get('wrong', ())))}"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as a person says it: "2 h 05 min", "3 min", "40 s"."""
+    if not math.isfinite(seconds):
+        return "for ever"
+    if seconds >= 3600:
+        minutes = round(seconds / 60)
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    if seconds >= 90:
+        return f"{round(seconds / 60)} min"
+    return f"{round(seconds)} s"

@@ -1,0 +1,362 @@
+"""Is anything changed in a signed certificate refused, or shown to leave what was signed as it was?
+
+    python -m benchmarks.certificate_mutations --number 1000 --seed 16 --out mutations.json
+
+A dry run is made, and its certificate issued: the XML signed, put into the PDF, the PDF signed. Then one of the two
+is changed, by chance from the seed: a byte of a value, a unit, the covariance, a file within it or any other place;
+labels or elements in another order; comments and blanks put into values; parts of the PDF's attachments exchanged,
+something appended, the file written anew. The changed file is looked at with the trust file, as `bench certificate
+verify` does, once alone and once with the other form, unchanged, beside it.
+
+A change passes where it is refused, or where what is shown is what was signed, to the byte: comments and blanks
+between attributes are not signed, hexadecimal digits have two cases. Prints a table by kind; exit status 1 for a
+change that was accepted and shows anything else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import re
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from random import Random
+from typing import Final
+
+import pikepdf
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.whole import to_text
+from bench.certificate.content import Issue
+from bench.certificate.dcc.document import document_of
+from bench.certificate.gather import certificate_of
+from bench.certificate.laboratory import load_laboratory
+from bench.certificate.order import load_order
+from bench.certificate.paper.body import body_of
+from bench.certificate.signature.pades import sign_pdf
+from bench.certificate.signature.signatory import new_certificate_key, signatory_of
+from bench.certificate.signature.xades import NotIntact, check_xml, sign_xml
+from bench.certificate.verify.verdict import verify_certificate
+from bench.files.shipped import CERTIFICATE, shipped_folder
+
+REFUSED, UNCHANGED, CHANGED = "refused", "unchanged", "CHANGED"
+_DIGITS: Final = b"0123456789"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A certificate in both forms, and the file that says whom to trust."""
+
+    xml: bytes
+    pdf: bytes
+    trust: Path
+
+
+Change = Callable[[bytes, Random], bytes]
+
+
+def signed_pair(run: Path, folder: Path) -> Pair:
+    """Issue and sign the certificate of a run, with a key that is made for it in `folder`."""
+    laboratory = load_laboratory(shipped_folder(CERTIFICATE) / "laboratory.yaml")
+    order = load_order(shipped_folder(CERTIFICATE) / "order.yaml")
+    now = datetime.now(UTC).replace(microsecond=0)
+    issue = Issue("SIM-2026-0001", now.isoformat(), laboratory.authorised[0])
+    certificate = certificate_of(run.name, run.parent, laboratory, order, issue)
+    trust, _ = new_certificate_key(folder / "keys" / "laboratory.pem", laboratory.name, None, now)
+    signatory = signatory_of(str(folder / "keys" / "laboratory.pem"), None, lambda: b"", now)
+    xml = sign_xml(document_of(certificate), signatory, now)
+    pdf = sign_pdf(body_of(certificate, xml), signatory, now, "certificate", certificate.place)
+    return Pair(xml, pdf, trust)
+
+
+# --- changes of the XML -------------------------------------------------------------------------------
+
+
+def _within(document: bytes, tag: bytes, rng: Random) -> tuple[int, int]:
+    """Return where the text of one element of a name stands, chosen by chance."""
+    spans = [match.span(1) for match in re.finditer(rb"<" + tag + rb"[^>]*>([^<]+)</", document)]
+    return rng.choice(spans)
+
+
+def _other(byte: int, rng: Random) -> bytes:
+    """Return another byte of the same kind: a digit for a digit, else any that can be printed."""
+    letters = _DIGITS if byte in _DIGITS else bytes(range(33, 127))
+    return bytes([rng.choice([one for one in letters if one != byte])])
+
+
+def _byte_in(tag: bytes) -> Change:
+    def change(document: bytes, rng: Random) -> bytes:
+        at = rng.randrange(*_within(document, tag, rng))
+        return document[:at] + _other(document[at], rng) + document[at + 1 :]
+
+    return change
+
+
+def _blank_in(tag: bytes) -> Change:
+    def change(document: bytes, rng: Random) -> bytes:
+        first, last = _within(document, tag, rng)
+        at = rng.randint(first, last)
+        return document[:at] + rng.choice([b" ", b"\n", b"\t", b"\xc2\xa0", b"&#32;"]) + document[at:]
+
+    return change
+
+
+def _comment_in(tag: bytes) -> Change:
+    def change(document: bytes, rng: Random) -> bytes:
+        first, last = _within(document, tag, rng)
+        at = rng.randint(first, last)
+        return (
+            document[:at]
+            + rng.choice([b"<!---->", b"<!-- 9 -->", b"<?x?>", b"<![CDATA[9]]>"])
+            + document[at:]
+        )
+
+    return change
+
+
+def _swapped(tag: bytes) -> Change:
+    def change(document: bytes, rng: Random) -> bytes:
+        spans = [
+            match.span()
+            for match in re.finditer(rb"<" + tag + rb"[ >].*?</" + tag + rb">", document, re.DOTALL)
+        ]
+        (a, b), (c, d) = sorted(rng.sample(spans, 2))
+        return document[:a] + document[c:d] + document[b:c] + document[a:b] + document[d:]
+
+    return change
+
+
+def _words_swapped(tag: bytes) -> Change:
+    def change(document: bytes, rng: Random) -> bytes:
+        several = [
+            match.span(1)
+            for match in re.finditer(rb"<" + tag + rb"[^>]*>([^<]+)</", document)
+            if match[1].count(b" ") > 1
+        ]
+        first, last = rng.choice(several)
+        words = document[first:last].split(b" ")
+        i, j = rng.sample(range(len(words)), 2)
+        words[i], words[j] = words[j], words[i]
+        return document[:first] + b" ".join(words) + document[last:]
+
+    return change
+
+
+def _byte_of_covariance(document: bytes, rng: Random) -> bytes:
+    spans = [match.span() for match in re.finditer(rb"<si:covarianceXMLList>.*?</", document, re.DOTALL)]
+    first, last = rng.choice(spans)
+    at = first + document[first:last].index(b"si:valueXMLList>") + len(b"si:valueXMLList>")
+    at = rng.randrange(at, last - len(b"</"))
+    return document[:at] + _other(document[at], rng) + document[at + 1 :]
+
+
+def _between_attributes(document: bytes, rng: Random) -> bytes:
+    at = rng.choice([match.start() for match in re.finditer(rb' \w+="', document)])
+    return document[:at] + rng.choice([b" ", b"\n"]) + document[at:]
+
+
+def _any_byte(document: bytes, rng: Random) -> bytes:
+    at = rng.randrange(len(document))
+    return document[:at] + bytes([document[at] ^ 1 << rng.randrange(8)]) + document[at + 1 :]
+
+
+def _byte_out(document: bytes, rng: Random) -> bytes:
+    at = rng.randrange(len(document))
+    return document[:at] + document[at + 1 :]
+
+
+def _in_signature(document: bytes, rng: Random) -> bytes:
+    at = rng.randrange(document.index(b"<ds:Signature"), len(document))
+    return document[:at] + _other(document[at], rng) + document[at + 1 :]
+
+
+XML: Final[dict[str, Change]] = {
+    "a byte of a value": _byte_in(b"si:value(?:XMLList)?"),
+    "a byte of a U": _byte_in(b"si:valueExpandedMUXMLList"),
+    "a byte of a unit": _byte_in(b"si:unit(?:XMLList)?"),
+    "a byte of a covariance": _byte_of_covariance,
+    "a byte of a file in it": _byte_in(b"dcc:dataBase64"),
+    "a byte of a text": _byte_in(b"dcc:content"),
+    "a blank in a value": _blank_in(b"si:valueXMLList"),
+    "a blank in a unit": _blank_in(b"si:unitXMLList"),
+    "a blank in a file in it": _blank_in(b"dcc:dataBase64"),
+    "a comment in a value": _comment_in(b"si:valueXMLList"),
+    "a comment in a text": _comment_in(b"dcc:content"),
+    "values in another order": _words_swapped(b"si:valueXMLList"),
+    "labels in another order": _words_swapped(b"si:labelXMLList"),
+    "elements in another order": _swapped(b"dcc:result"),
+    "columns in another order": _swapped(b"si:columnXMLList"),
+    "a blank between attributes": _between_attributes,
+    "a byte of the signature": _in_signature,
+    "any bit": _any_byte,
+    "a byte left out": _byte_out,
+}
+
+
+# --- changes of the PDF -------------------------------------------------------------------------------
+
+
+def _stream_bit(file: bytes, rng: Random) -> bytes:
+    spans = [match.span(1) for match in re.finditer(rb"stream\r?\n(.*?)\r?\nendstream", file, re.DOTALL)]
+    at = rng.randrange(*rng.choice([span for span in spans if span[1] > span[0]]))
+    return file[:at] + bytes([file[at] ^ 1 << rng.randrange(8)]) + file[at + 1 :]
+
+
+def _appended(file: bytes, rng: Random) -> bytes:
+    return file + rng.choice([b"\n", b"%%EOF\n", b" " * 40, b"1 0 obj\n<<>>\nendobj\n", file[-200:]])
+
+
+def _saved(change: Callable[[pikepdf.Pdf, Random], None]) -> Change:
+    def changed(file: bytes, rng: Random) -> bytes:
+        out = io.BytesIO()
+        with pikepdf.open(io.BytesIO(file)) as pdf:
+            change(pdf, rng)
+            pdf.save(out)
+        return out.getvalue()
+
+    return changed
+
+
+def _other_attachment(pdf: pikepdf.Pdf, rng: Random) -> None:
+    name = rng.choice(sorted(pdf.attachments))
+    content = bytearray(pdf.attachments[name].get_file().read_bytes())
+    content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+    pdf.attachments[name] = bytes(content)
+
+
+def _exchanged(pdf: pikepdf.Pdf, rng: Random) -> None:
+    one, other = rng.sample(sorted(pdf.attachments), 2)
+    contents = {name: pdf.attachments[name].get_file().read_bytes() for name in (one, other)}
+    pdf.attachments[one], pdf.attachments[other] = contents[other], contents[one]
+
+
+def _page_less(pdf: pikepdf.Pdf, rng: Random) -> None:
+    del pdf.pages[rng.randrange(len(pdf.pages))]
+
+
+def _pages_turned(pdf: pikepdf.Pdf, rng: Random) -> None:
+    pdf.pages.reverse()
+
+
+def _as_it_is(pdf: pikepdf.Pdf, rng: Random) -> None:
+    pass
+
+
+def _signature_digits(file: bytes) -> tuple[int, int]:
+    """Return where the hexadecimal digits of the signature stand."""
+    start = file.rindex(b"/Contents <") + len(b"/Contents <")
+    return start, file.index(b">", start)
+
+
+def _in_place_of_the_signature(file: bytes, rng: Random) -> bytes:
+    at = rng.randrange(*_signature_digits(file))
+    return file[:at] + rng.choice([b"0", b"a", b"F", b" ", file[at : at + 1].swapcase()]) + file[at + 1 :]
+
+
+PDF: Final[dict[str, Change]] = {
+    "any bit of the PDF": _any_byte,
+    "a bit of a stream": _stream_bit,
+    "a byte of the PDF left out": _byte_out,
+    "something appended": _appended,
+    "a digit of the PDF's signature": _in_place_of_the_signature,
+    "another byte in an attachment": _saved(_other_attachment),
+    "attachments exchanged": _saved(_exchanged),
+    "a page less": _saved(_page_less),
+    "pages in another order": _saved(_pages_turned),
+    "the file written anew": _saved(_as_it_is),
+}
+KINDS: Final = {**XML, **PDF}
+
+
+# --- what comes of it ---------------------------------------------------------------------------------
+
+
+def outcome(pair: Pair, changed: bytes, kind: str, folder: Path, *, beside: bool) -> str:
+    """Return what comes of looking at one form, changed, with the other beside it or without."""
+    is_xml = kind in XML
+    original, ending, other = (pair.xml, ".xml", ".pdf") if is_xml else (pair.pdf, ".pdf", ".xml")
+    file = folder / f"certificate{ending}"
+    file.write_bytes(changed)
+    if beside:
+        file.with_suffix(other).write_bytes(pair.pdf if is_xml else pair.xml)
+    else:
+        file.with_suffix(other).unlink(missing_ok=True)
+    verdict = verify_certificate(file, pair.trust, folder / "no runs")
+    if not verdict.accepted:
+        return REFUSED
+    return UNCHANGED if _same(original, changed, is_xml) else CHANGED
+
+
+def _same(original: bytes, changed: bytes, is_xml: bool) -> bool:
+    """Whether an accepted file says what was signed: the same content, or the same bytes but its signature's."""
+    if is_xml:
+        try:
+            return check_xml(changed).content == check_xml(original).content
+        except NotIntact:
+            return False
+    first, last = _signature_digits(original)
+    outside = original[:first] == changed[:first] and original[last:] == changed[last:]
+    return outside and original[first:last].lower() == changed[first:last].lower()
+
+
+def trials(pair: Pair, number: int, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
+    """Change the pair so many times, the kinds in turn; yield kind and outcome."""
+    names = list(KINDS)
+    for n in range(number):
+        kind, rng = names[n % len(names)], Random(f"{seed}/{n}")  # noqa: S311 - it draws changes, not keys
+        original = pair.xml if kind in XML else pair.pdf
+        changed = original
+        while changed == original:  # what was drawn may be what stands there
+            changed = KINDS[kind](original, rng)
+        yield kind, outcome(pair, changed, kind, folder, beside=n // len(names) % 2 == 1)
+
+
+def dry_run(folder: Path) -> Path:
+    """Make a dry run of the quick procedure; return its folder."""
+    from bench.cli.app import main
+
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            main(["run", "quick", "--dry-run", "--name", "unit-17", "--runs", str(folder / "runs")])
+    except SystemExit as done:
+        if done.code not in (0, 1):
+            raise
+    return folder / "runs" / "unit-17"
+
+
+def main() -> int:
+    """Make a pair, change it so many times, print what came of it."""
+    ask = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    ask.add_argument("--number", type=int, default=1000)
+    ask.add_argument("--seed", type=int, default=16)
+    ask.add_argument("--out", type=Path)
+    asked = ask.parse_args()
+    found: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        pair = signed_pair(dry_run(folder), folder)
+        for kind, came in trials(pair, asked.number, asked.seed, folder):
+            found[kind][came] += 1
+    columns = (REFUSED, UNCHANGED, CHANGED)
+    shown = Table("change", *columns)
+    for kind, counted in found.items():
+        shown.add_row(kind, *(str(counted[column]) for column in columns))
+    total = sum(found.values(), Counter())
+    shown.add_row("all", *(str(total[column]) for column in columns))
+    Console(width=100).print(shown)
+    if asked.out is not None:
+        asked.out.write_text(
+            to_text({kind: dict(counted) for kind, counted in found.items()}), encoding="utf-8"
+        )
+    return 1 if total[CHANGED] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

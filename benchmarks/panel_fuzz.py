@@ -1,0 +1,266 @@
+"""The panel under requests that nobody at it would send: methods, paths, headers, bodies, tokens, origins, sizes.
+
+`python -m benchmarks.panel_fuzz --requests 10000 --seed 1` sends them to the application itself, past any server
+that would tidy them, and tells of each that was answered with 5xx, changed a file without the right to or showed
+what lies outside the folder of runs, and how memory grew. `--socket 500` sends raw bytes to a real server beside.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import gc
+import json
+import shutil
+import tempfile
+import tracemalloc
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from bench.panel.access.people import Role
+from bench.panel.access.store import Access
+from bench.panel.app import make_app
+from bench.panel.holding import JOURNAL
+from bench.panel.settings import STATE, Settings
+from bench.run.answers import ANSWERS
+from bench.run.control import CONTROL
+from bench.run.manifest import EVENTS
+from bench.run.record import Record
+from benchmarks.panel_requests import CHANGES, HOST, SECRET, Actor, Request, Requests
+from drivers.clock import utc_now
+
+RECORD = Path(__file__).parents[1] / "tests" / "data" / "records"
+MAY_CHANGE = {"holding.jsonl", "answers.jsonl", "control.jsonl", ".holding.jsonl.lock"}
+"""What a person with the right to may bring about in a run's folder."""
+
+Tree = dict[str, tuple[int, int]]
+
+
+@dataclass
+class Outcome:
+    """What became of the requests: `wrong` are sentences, `statuses` counts, `grown` bytes from a quarter on."""
+
+    requests: int = 0
+    statuses: Counter[int] = field(default_factory=Counter)
+    entitled: int = 0
+    wrong: list[str] = field(default_factory=list)
+    grown: int = 0
+
+
+class Place:
+    """A folder of runs with a secret beside it, one run that is carried out, and persons of each role."""
+
+    def __init__(self, folder: Path) -> None:
+        self.outside = folder / "outside"
+        shutil.copytree(RECORD / "finished", self.outside)
+        (self.outside / "report.html").write_text(SECRET)
+        (self.outside / "secret").write_text(SECRET)
+        self.runs = folder / "runs"
+        shutil.copytree(RECORD / "finished", self.runs / "done")
+        shutil.copytree(RECORD / "interrupted", self.runs / "alive")
+        shutil.copytree(RECORD / "interrupted", self.runs / "<script>\x1b[2J ü")
+        (self.runs / "linked").symlink_to(self.outside)
+        (self.runs / "done" / "diagnose.html").symlink_to(self.outside / "secret")
+        (self.runs / "alive" / "verify.json").write_text('{"passed": [], "limit_g": "x", "points": {}}')
+        self.app = make_app(Settings(self.runs))
+        access, cookie = Access(self.runs / STATE), Settings(self.runs).cookie
+        self.actors = [Actor("stranger", None, None, cookie)]
+        for role in Role:
+            token = access.new_token(f"the {role}", role)
+            person = access.sign_in_by_token(token)
+            self.actors.append(Actor(f"the {role}", person, token, cookie))
+        access.revoke("the viewer")
+        revoked = self.actors[1]
+        self.actors[1] = Actor("revoked", revoked.person, revoked.token, cookie, revoked=True)
+        token = access.new_token("looker", Role.VIEWER)
+        self.actors.append(Actor("looker", access.sign_in_by_token(token), token, cookie))
+        self.record, _ = Record.reopen(self.runs / "alive", utc_now)  # somebody carries it out
+
+    def tree(self) -> Tree:
+        """Return size and time of every file that no request may change but by right."""
+        found = {}
+        for path in (*self.runs.rglob("*"), *self.outside.rglob("*")):
+            if path.is_file() and not path.is_symlink():
+                told = path.stat()
+                found[str(path)] = (told.st_size, told.st_mtime_ns)
+        return found
+
+    def allowed(self, path: str, request: Request) -> bool:
+        """Whether a request with the right to may change this file."""
+        ended = Path(path) != self.runs / "alive" / EVENTS and request.path.endswith(("/give-up", "/wish"))
+        if ended and Path(path).name == EVENTS:
+            return True
+        return Path(path).name in MAY_CHANGE or Path(path).is_relative_to(self.runs / STATE)
+
+    def told(self) -> list[str]:
+        """Say what the files that were written by right tell that nobody had the right to."""
+        wrong = []
+        for line in _lines(self.runs / "alive" / CONTROL):
+            if line["role"] == Role.VIEWER and line["wish"] != "stop":
+                wrong.append(f"a viewer's wish was left: {line}")
+        if _lines(self.runs / "alive" / ANSWERS):
+            wrong.append("an answer was left, and nothing is asked")
+        for journal in self.runs.glob(f"*/{JOURNAL}"):
+            holder = ""
+            for line in _lines(journal):
+                match line["did"]:
+                    case "taken" if holder:
+                        wrong.append(f"taken from {holder}: {line}")
+                    case "granted" | "denied" | "released" if line["who"] != holder:
+                        wrong.append(f"{holder} was in control: {line}")
+                    case "forced" if line["role"] != Role.SUPERVISOR:
+                        wrong.append(f"forced by no supervisor: {line}")
+                if line["did"] in {"taken", "forced", "granted"}:
+                    holder = line.get("to") or line["who"]
+                elif line["did"] == "released":
+                    holder = ""
+        return wrong
+
+
+def _lines(file: Path) -> list[dict[str, str]]:
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+async def send(app: Any, request: Request) -> tuple[int, bytes]:
+    """Send a request to the application; who has heard the first of a stream goes away."""
+    gone = asyncio.Event()
+    parts = list(request.body)
+    told: list[int] = []
+    body = bytearray()
+
+    async def receive() -> dict[str, Any]:
+        if parts:
+            return {"type": "http.request", "body": parts.pop(0), "more_body": bool(parts)}
+        await gone.wait()
+        return {"type": "http.disconnect"}
+
+    async def heard(message: dict[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            told.append(message["status"])
+        else:
+            body.extend(message.get("body", b""))
+            gone.set()
+
+    await asyncio.wait_for(app(request.scope(), receive, heard), 60)
+    return told[0], bytes(body)
+
+
+async def fuzz(place: Place, count: int, seed: int) -> Outcome:
+    """Send `count` requests and return what became of them."""
+    outcome, requests = Outcome(), Requests(seed, place.actors, [run.name for run in place.runs.iterdir()])
+    before, quarter = place.tree(), 0
+    tracemalloc.start()
+    with mock.patch(
+        "bench.panel.launching.detached.subprocess.Popen", side_effect=OSError(12, "no process")
+    ) as popen:
+        for number in range(count):
+            if number == count // 4:
+                gc.collect()
+                quarter = tracemalloc.get_traced_memory()[0]
+            request = requests.draw()
+            started = popen.call_count
+            try:
+                status, body = await send(place.app, request)
+            except Exception as error:
+                outcome.wrong.append(f"{request}: {type(error).__name__}: {error}")
+                continue
+            outcome.requests += 1
+            outcome.statuses[status] += 1
+            outcome.entitled += request.entitled
+            after = place.tree()
+            changed = {path for path in before.keys() | after.keys() if before.get(path) != after.get(path)}
+            before = after
+            outcome.wrong += judged(place, request, status, body, changed, started=popen.call_count - started)
+    outcome.wrong += place.told()
+    gc.collect()
+    outcome.grown = tracemalloc.get_traced_memory()[0] - quarter
+    tracemalloc.stop()
+    return outcome
+
+
+def judged(
+    place: Place, request: Request, status: int, body: bytes, changed: set[str], *, started: int
+) -> list[str]:
+    """Say what is wrong with how a request was answered, and with what it changed."""
+    wrong = []
+    if status >= 500:
+        wrong.append(f"{request}: answered {status}: {body[:200]!r}")
+    if SECRET.encode() in body:
+        wrong.append(f"{request}: showed what lies outside")
+    if b"<script>\x1b" in body or b"\x1b" in body:
+        wrong.append(f"{request}: a name acts on the page")
+    # a lock that is made where there was none is no change of anything
+    changed = {path for path in changed if not path.endswith(".lock")}
+    if (changed or started) and not request.entitled:
+        wrong.append(
+            f"{request}: changed {sorted(changed)}, started {started} without the right to ({status})"
+        )
+    if any(not place.allowed(path, request) for path in changed):
+        wrong.append(f"{request}: changed {sorted(changed)} ({status})")
+    if request.method in CHANGES and not request.entitled and status < 300:
+        wrong.append(f"{request}: answered {status} without the right to")
+    return wrong
+
+
+async def raw(port: int, count: int, seed: int) -> list[str]:
+    """Send raw bytes to a real server; return what is wrong with its replies."""
+    requests, wrong = Requests(seed, [Actor("stranger", None, None)], ["done"]), []
+    for _ in range(count):
+        sent = requests.raw(HOST)
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(sent)
+        try:
+            await writer.drain()
+            writer.write_eof()
+            reply = await asyncio.wait_for(reader.read(4096), 10)
+        except (ConnectionError, TimeoutError) as error:
+            reply = f"({type(error).__name__})".encode()
+        writer.close()
+        if reply.startswith(b"HTTP/1.1 5"):
+            wrong.append(f"{sent[:120]!r}: {reply[:60]!r}")
+    return wrong
+
+
+async def served(place: Place, count: int, seed: int) -> list[str]:
+    """Send raw bytes to the panel behind the server that it comes with."""
+    import uvicorn
+
+    server = uvicorn.Server(
+        uvicorn.Config(place.app, host="127.0.0.1", port=0, log_level="critical", ws="none")
+    )
+    serving = asyncio.create_task(server.serve())
+    while not server.started:
+        await asyncio.sleep(0.05)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    try:
+        return await raw(port, count, seed)
+    finally:
+        server.should_exit = True
+        await serving
+
+
+def main() -> None:
+    """Send the requests and print what became of them; exit status 1 where anything is wrong."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--requests", type=int, default=10_000)
+    options.add_argument("--socket", type=int, default=500)
+    options.add_argument("--seed", type=int, default=1)
+    asked = options.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        place = Place(Path(folder))
+        outcome = asyncio.run(fuzz(place, asked.requests, asked.seed))
+        wrong = outcome.wrong + asyncio.run(served(place, asked.socket, asked.seed))
+    print(f"{outcome.requests} requests, {outcome.entitled} with the right to; {asked.socket} raw ones")
+    print("statuses: " + ", ".join(f"{status}: {n}" for status, n in sorted(outcome.statuses.items())))
+    print(f"memory since a quarter of them: {outcome.grown / 1e6:+.2f} MB")
+    for sentence in wrong[:20]:
+        print(f"WRONG {sentence}")
+    print(f"{len(wrong)} answered wrongly")
+    raise SystemExit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

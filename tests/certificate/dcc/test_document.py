@@ -1,0 +1,175 @@
+"""The document says what the certificate says: values, covariance, statements, files."""
+
+import base64
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from bench.certificate.content import Before, uncertified
+from bench.certificate.dcc.document import document_of
+from bench.certificate.dcc.nodes import NAMESPACES
+from bench.certificate.dcc.results import region_factor
+from bench.certificate.dcc.rules import broken_rules
+from tests.support.certificates import ORDER
+
+
+@pytest.fixture(scope="module")
+def document(issued_certificate):
+    return document_of(issued_certificate)
+
+
+@pytest.fixture(scope="module")
+def root(document):
+    return etree.fromstring(document)
+
+
+def of_result(root, ref, path):
+    return root.findtext(f".//dcc:result[@refType='bench_{ref}']//{path}", namespaces=NAMESPACES)
+
+
+def floats(text):
+    return [float(word) for word in text.split()]
+
+
+def covariance_of(root, ref):
+    columns = root.findall(
+        f".//dcc:result[@refType='bench_{ref}']//si:covarianceXMLList/si:valueXMLList", NAMESPACES
+    )
+    return np.array([floats(column.text) for column in columns]).T
+
+
+def test_it_keeps_to_all_rules(document):
+    assert broken_rules(document) == ()
+
+
+def test_the_same_certificate_is_the_same_bytes(document, issued_certificate):
+    assert document_of(issued_certificate) == document
+
+
+def test_coefficients_and_their_covariance_come_back_to_the_bit(root, issued_certificate):
+    found = issued_certificate.found
+    for ref, values in (("coefficients", found.coefficients), ("inverse", found.inverse)):
+        assert of_result(root, ref, "si:labelXMLList").split() == [one.name for one in values.values]
+        assert floats(of_result(root, ref, "si:valueXMLList")) == [one.value for one in values.values]
+        assert np.array_equal(covariance_of(root, ref), values.covariance)
+        U = floats(of_result(root, ref, "si:valueExpandedMUXMLList"))
+        assert [one.U for one in values.values] == U
+
+
+def test_every_entry_of_the_covariance_has_its_unit(root):
+    columns = root.findall(
+        ".//dcc:result[@refType='bench_coefficients_si']//si:covarianceXMLList/si:unitXMLList", NAMESPACES
+    )
+    units = [column.text.split() for column in columns]
+    assert [len(column) for column in units] == [12] * 12
+    assert units[0][0] == r"\volt\tothe{2}\metre\tothe{-2}\second\tothe{4}"
+    assert units[11][11] == r"\volt\tothe{2}"
+    assert units[0][11] == r"\volt\tothe{2}\metre\tothe{-1}\second\tothe{2}"
+
+
+def test_per_metre_and_second_squared_holds_the_uncertainty_of_gravity(root, issued_certificate):
+    own = issued_certificate.found.result.calibration
+    values = floats(of_result(root, "coefficients_si", "si:valueXMLList"))
+    assert np.allclose(values[:9], own.block.vector[:9] / own.g_m_s2, rtol=1e-15)
+    stated = own.to_json()["coefficients_per_ms2"]
+    u = np.sqrt(np.diag(covariance_of(root, "coefficients_si")))
+    assert u[:9] == pytest.approx([stated[name]["u"] for name in list(stated)[1:]], rel=1e-12)
+
+
+def test_the_ellipsoid_of_twelve_holds_what_it_says():
+    draws = np.random.default_rng(20261122).normal(size=(200_000, 12))
+    k = region_factor(0.9545, 12)
+    held = np.mean(np.sum(draws**2, axis=1) <= k * k)
+    assert held == pytest.approx(0.9545, abs=4 * np.sqrt(0.9545 * 0.0455 / 200_000))
+
+
+def test_each_verification_point_has_its_statement(root, issued_certificate):
+    verification = issued_certificate.found.verification
+    delta = ".//dcc:result[@refType='bench_delta_g']//dcc:quantity[@refType='bench_delta_g']"
+    values = floats(root.findtext(f"{delta}//si:valueXMLList", namespaces=NAMESPACES))
+    assert values == [point.delta_g for point in verification.points]
+    said = root.findtext(f"{delta}//dcc:conformityXMLList", namespaces=NAMESPACES).split()
+    assert len(said) == len(values)
+    whole = root.findtext(
+        ".//dcc:metaData[@refType='bench_conformity']/dcc:conformity", namespaces=NAMESPACES
+    )
+    assert whole == ("pass" if verification.statement == "pass" else whole)
+
+
+def test_readings_are_there_as_data(root, issued_certificate):
+    readings = issued_certificate.found.result.source.as_read
+    path = "dcc:quantity[@refType='bench_{}']//si:valueXMLList"
+    for i, axis in enumerate("xyz"):
+        assert floats(of_result(root, "readings", path.format(f"u{axis}"))) == readings.signal[:, i].tolist()
+    assert of_result(root, "readings", "dcc:charsXMLList").split() == readings.installation.tolist()
+
+
+def test_the_files_of_the_certificate_are_in_it(root, issued_certificate):
+    files = {
+        one.findtext("dcc:fileName", namespaces=NAMESPACES): base64.b64decode(
+            one.findtext("dcc:dataBase64", namespaces=NAMESPACES)
+        )
+        for one in root.iter(f"{{{NAMESPACES['dcc']}}}byteData")
+    }
+    given = {one.name: one.content for one in issued_certificate.attachments}
+    assert files == {name: given[name] for name in ("seal.json", "result.json")}
+
+
+def test_a_simulated_run_says_so_and_is_not_called_traceable(root):
+    assert "SIMULATED" in root.findtext(
+        ".//dcc:statement[@refType='bench_simulated']/dcc:declaration/dcc:content", namespaces=NAMESPACES
+    )
+    path = ".//dcc:statement[@refType='bench_traceability']/dcc:traceable"
+    assert root.findtext(path, namespaces=NAMESPACES) == "false"
+
+
+def test_an_instrument_without_a_certificate_has_none(root, issued_certificate):
+    assert len(uncertified(issued_certificate.found)) == 4
+    assert root.find(".//dcc:measuringEquipment/dcc:certificate", NAMESPACES) is None
+
+
+def test_an_amendment_names_the_one_before(issued_certificate):
+    before = Before("replaced", "SIM-2026-0000", "2026-11-20", "a wrong customer", "ab" * 32)
+    whole = replace(issued_certificate, issue=replace(issued_certificate.issue, before=before))
+    document = document_of(whole)
+    assert broken_rules(document) == ()
+    core = etree.fromstring(document).find(".//dcc:coreData", NAMESPACES)
+    assert (
+        core.findtext("dcc:reportAmendedSubstituted/dcc:typeOfChange", namespaces=NAMESPACES) == "substituted"
+    )
+    assert core.findtext("dcc:previousReport/dcc:value", namespaces=NAMESPACES) == "ab" * 32
+
+
+def test_what_an_adjustment_changed_stands_beside_it(issued_certificate):
+    from bench.certificate.order import Adjusted
+
+    unit = issued_certificate.unit.model_copy(
+        update={"state": "as left", "adjusted": Adjusted(what="trimmed")}
+    )
+    both = replace(issued_certificate, unit=unit, as_found=issued_certificate.found)
+    both = replace(both, as_found=replace(both.found))
+    document = document_of(both)
+    assert broken_rules(document) == ()
+    root = etree.fromstring(document)
+    found = {one.text for one in root.iter(f"{{{NAMESPACES['dcc']}}}status")}
+    assert found == {"beforeAdjustment", "afterAdjustment"}
+    assert len(root.findall(".//dcc:measurementResult", NAMESPACES)) == 2
+
+
+def test_what_people_write_cannot_become_markup(issued_certificate):
+    evil = "</dcc:content><x>&amp; \x1b[31m \u202e ]]>"
+    unit = issued_certificate.unit.model_copy(update={"condition": evil})
+    document = document_of(replace(issued_certificate, unit=unit))
+    assert broken_rules(document) == ()
+    (said,) = etree.fromstring(document).xpath(
+        "//dcc:item/dcc:description/dcc:content", namespaces=NAMESPACES
+    )
+    assert said.text == r"</dcc:content><x>&amp; \x1b[31m \u202e ]]>"
+
+
+def test_a_draft_has_no_document(issued_certificate):
+    with pytest.raises(ValueError, match="a number"):
+        document_of(replace(issued_certificate, issue=None))
+    assert ORDER["units"][0]["state"] == issued_certificate.state

@@ -1,0 +1,165 @@
+"""The way back: coefficients out of our certificates and others', instruments' certificates for bench files."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from bench.api.coefficients import coefficients_of
+from bench.certificate.dcc.document import document_of
+from bench.devices.certificates import HeadCertificate
+from bench.model.block import COEFFICIENTS
+from tests.support.schemas import keeps_to
+
+HEAD = """<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si"
+ schemaVersion="3.2.1"><dcc:administrativeData><dcc:coreData><dcc:uniqueIdentifier>H-88</dcc:uniqueIdentifier>
+ <dcc:endPerformanceDate>2025-11-20</dcc:endPerformanceDate></dcc:coreData><dcc:items><dcc:item>
+ <dcc:name><dcc:content>block</dcc:content></dcc:name><dcc:identifications>
+ <dcc:identification>
+ <dcc:issuer>manufacturer</dcc:issuer><dcc:value>S-7</dcc:value></dcc:identification></dcc:identifications>
+ </dcc:item></dcc:items><dcc:calibrationLaboratory><dcc:contact><dcc:name><dcc:content>Angle
+ Laboratory</dcc:content></dcc:name></dcc:contact></dcc:calibrationLaboratory></dcc:administrativeData><dcc:measurementResults><dcc:measurementResult>
+ <dcc:results><dcc:result><dcc:data>{}</dcc:data></dcc:result></dcc:results></dcc:measurementResult>
+ </dcc:measurementResults></dcc:digitalCalibrationCertificate>"""
+
+NAMES = list(COEFFICIENTS)
+VALUES = [-2.1, 0.01, 0.02, 0.03, -2.2, 0.04, 0.05, 0.06, -2.3, 0.07, -0.19, -0.41]
+
+
+@pytest.fixture
+def ours(empty_folder, issued_certificate):
+    Path("ours.xml").write_bytes(document_of(issued_certificate))
+    return "ours.xml"
+
+
+def real_list(labels=NAMES, values=VALUES, k_unit=r"\volt", extra="", u="2e-4"):
+    units = " ".join([k_unit] * 9 + [r"\volt"] * 3)
+    uncertain = (
+        "<si:measurementUncertaintyUnivariateXMLList><si:expandedMUXMLList><si:valueExpandedMUXMLList>"
+        f"{' '.join([u] * 12)}</si:valueExpandedMUXMLList><si:coverageFactorXMLList>{' '.join(['2'] * 12)}"
+        f"</si:coverageFactorXMLList><si:coverageProbabilityXMLList>{' '.join(['0.95'] * 12)}"
+        "</si:coverageProbabilityXMLList></si:expandedMUXMLList></si:measurementUncertaintyUnivariateXMLList>"
+    )
+    return (
+        f"<dcc:quantity><si:realListXMLList><si:labelXMLList>{' '.join(labels)}</si:labelXMLList><si:valueXMLList>"
+        f"{' '.join(map(repr, values))}</si:valueXMLList><si:unitXMLList>{units}</si:unitXMLList>"
+        f"{uncertain if u else ''}{extra}</si:realListXMLList></dcc:quantity>"
+    )
+
+
+def test_coefficients_of_ours_come_back_whole(bench, ours, issued_certificate):
+    status, _, err = bench("certificate", "read", ours, "--out", "coefficients.json")
+    assert status == 0
+    assert "nobody signed" in err
+    data = json.loads(Path("coefficients.json").read_text())
+    keeps_to("calibrate", data)
+    taken = coefficients_of(data, "it")
+    own = issued_certificate.found.result.calibration
+    assert np.array_equal(taken.block.vector, own.block.vector)
+    assert np.array_equal(taken.covariance, own.covariance)
+    assert np.array_equal(taken.same_meters, own.covariance_same_meters)
+    assert data["certificate"]["number"] == "SIM-2026-0001"
+    assert taken.simulated
+
+
+def test_ours_with_another_value_in_its_list_is_refused(bench, ours, issued_certificate):
+    text = Path(ours).read_text(encoding="utf-8")
+    value = repr(issued_certificate.found.coefficients["Kxx"].value)
+    Path(ours).write_text(text.replace(value, value.replace("2", "3", 1), 1), encoding="utf-8")
+    status, _, err = bench("certificate", "read", ours, "--out", "coefficients.json")
+    assert (status, "states other coefficients than its list" in err) == (2, True)
+    assert not Path("coefficients.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"), [(r"\volt", 1.0), (r"\milli\volt\per\metre\second\tothe{2}", 9.81e-3)]
+)
+def test_coefficients_of_anothers_list_are_taken_by_their_names(bench, empty_folder, unit, scale):
+    order = np.random.default_rng(20261122).permutation(12)
+    scattered = sorted(range(12), key=lambda i: (i >= 9, order[i]))
+    named = [NAMES[i].replace("K", "K_") for i in scattered]
+    Path("x.xml").write_text(HEAD.format(real_list(named, [VALUES[i] for i in scattered], unit)))
+    status, _, err = bench("certificate", "read", "x.xml", "--out", "c.json")
+    assert (status, "say --g" in err, "--noise" in err) == (2, True, True)
+    status, _, err = bench("certificate", "read", "x.xml", "--out", "c.json", "--g", 9.81, "--noise", "50 uV")
+    assert (status, "taken as not correlated" in err) == (0, True)
+    taken = coefficients_of(json.loads(Path("c.json").read_text()), "it")
+    scales = np.array([scale] * 9 + [1.0] * 3)
+    assert np.allclose(taken.block.vector, np.array(VALUES) * scales, rtol=1e-14)
+    assert np.allclose(taken.covariance, np.diag((1e-4 * scales) ** 2), rtol=1e-14)
+    assert taken.noise == pytest.approx(5e-5)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (real_list([*NAMES[:11], "U0"]), "no list of the twelve"),
+        (real_list() * 2, "more than one list"),
+        (real_list(u=""), "states no uncertainty"),
+        (real_list(k_unit=r"\ampere"), "K is to be in"),
+        (real_list(k_unit=r"\furlong"), "furlong is not known"),
+        (real_list(values=VALUES[:11]), "11 values, but 12 units"),
+        (real_list().replace("0.07", "seven"), "'seven' is no number"),
+        (real_list().replace("-2.1 ", "NaN "), "no number"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(bench, empty_folder, content, told):
+    Path("x.xml").write_text(HEAD.format(content))
+    status, _, err = bench("certificate", "read", "x.xml", "--out", "c.json", "--g", 9.81, "--noise", "50 uV")
+    assert (status, told in err) == (2, True), err
+
+
+@pytest.mark.parametrize("content", ["", "<a/>", "<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", "\x00"])
+def test_what_is_no_certificate_is_refused(bench, empty_folder, content):
+    Path("x.xml").write_text(content)
+    status, _, err = bench("certificate", "read", "x.xml", "--out", "c.json")
+    assert status == 2
+    assert err.startswith("bench: x.xml: not ")
+
+
+def column(role, values, unit, u=None):
+    uncertain = (
+        ""
+        if u is None
+        else re.sub(r"^.*?(<si:measurement.*Univariate\w+>).*$", r"\1", real_list(u=u).replace("\n", ""))
+    )
+    count = len(values)
+    uncertain = re.sub(r">([^<> ]+)( \1)+<", lambda m: f">{' '.join([m[1]] * count)}<", uncertain)
+    return (
+        f'<dcc:quantity refType="{role}"><si:realListXMLList><si:valueXMLList>{" ".join(map(str, values))}'
+        f"</si:valueXMLList><si:unitXMLList>{unit}</si:unitXMLList>{uncertain}</si:realListXMLList></dcc:quantity>"
+    )
+
+
+def test_a_heads_certificate_is_printed_for_the_bench_file(bench, empty_folder):
+    angles = [0, 45, 90, 135, 180, 225, 270, 315]
+    errors = [0.0, 2.4, 3.1, 1.9, -0.2, -2.2, -3.0, -2.1]
+    table = column("basic_nominalValue", angles, r"\degree") + column(
+        "basic_measurementError", errors, r"\arcsecond", "1.0"
+    )
+    Path("x.xml").write_text(HEAD.format(f"<dcc:list>{table}</dcc:list>"))
+    status, out, err = bench("certificate", "read", "x.xml")
+    assert status == 0
+    section = yaml.safe_load(out)["certificate"]
+    section["date"] = str(section["date"])
+    head = HeadCertificate.model_validate({**section})
+    assert (head.number, head.laboratory, head.serial) == ("H-88", "Angle Laboratory", "S-7")
+    corrections = np.degrees([value.correction for value in head.values]) * 3600
+    assert np.allclose(corrections, -np.array(errors), atol=1e-8)
+    assert [value.U for value in head.values] == pytest.approx([np.radians(1 / 3600)] * 8, rel=1e-5)
+    assert "a bench file does not take" not in err
+
+
+def test_what_a_bench_file_would_not_take_is_said(bench, empty_folder):
+    table = column("basic_nominalValue", [0, 90], r"\degree") + column(
+        "basic_measurementError", [0.0, 2.4], r"\arcsecond", "1.0"
+    )
+    Path("x.xml").write_text(HEAD.format(f"<dcc:list>{table}</dcc:list>"))
+    status, _, err = bench("certificate", "read", "x.xml")
+    assert (status, "the table says nothing between" in err) == (0, True)
+    Path("x.xml").write_text(HEAD.format("<dcc:text/>"))
+    status, out, err = bench("certificate", "read", "x.xml")
+    assert (status, "number: H-88" in out, "by hand" in err) == (0, True, True)

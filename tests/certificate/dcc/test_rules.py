@@ -1,0 +1,93 @@
+"""Our own rules find what is wrong with a document; so do schemas, where somebody has them."""
+
+import pytest
+
+from bench.api.errors import Refused
+from bench.certificate.dcc.document import document_of
+from bench.certificate.dcc.rules import broken_rules
+from bench.certificate.dcc.schema import read_schemas
+
+SCHEMA = (
+    '<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" version="{}" targetNamespace="{}" {}</xs:schema>'
+)
+
+
+@pytest.fixture(scope="module")
+def document(issued_certificate):
+    return document_of(issued_certificate).decode()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("<dcc:issueDate>2026-11-22", "<dcc:issueDate>2026-11-01", "not in this order"),
+        ("<dcc:issueDate>2026-11-22", "<dcc:issueDate>tomorrow", "'tomorrow' is no such value"),
+        ('schemaVersion="3.3.0"', 'schemaVersion="3.2.0"', "not a DCC 3.3.0"),
+        ("<dcc:uniqueIdentifier>SIM-", "<dcc:uniqueIdentifier>", "of simulated runs, and say so"),
+        ('<dcc:content lang="de">Ergebnisse</dcc:content>', "", "not in all languages used"),
+        ("<dcc:mainSigner>true</dcc:mainSigner>", "", "expected name|expected person"),
+        ('id="found-inverse"', 'id="found-coefficients"', "stands twice"),
+        ("<si:coverageFactorXMLList>2.0 ", "<si:coverageFactorXMLList>3.0 ", "U is not k times"),
+        ("<si:coverageFactorXMLList>2.0 ", "<si:coverageFactorXMLList>0.5 ", "'0.5' is no such value"),
+        ("Kxx Kxy Kxz", "Kxx Kxy", "12 values, but 11 in labelXMLList"),
+        (r"<si:unitXMLList>\volt \volt ", r"<si:unitXMLList>\volt ", "12 values, but 11 units"),
+        (r"<si:unitXMLList>\volt \volt ", r"<si:unitXMLList>\vold \volt ", "vold is not known"),
+        ("<dcc:conformityXMLList>", "<dcc:conformityXMLList>passed ", "'passed' is no such value"),
+        ("<dcc:dataBase64>", "<dcc:dataBase64>?", "not Base64"),
+        ("<dcc:items>", "<!-- so --><dcc:items>", "which nobody signs for"),
+        ("<dcc:items>", "<dcc:items><x/>", "of no name space of a DCC"),
+        ("<dcc:items>", "<dcc:items>text", "a text stands between"),
+        ("<dcc:city>Kyiv", "<dcc:city> Kyiv", "with a blank at an end"),
+    ],
+)
+def test_a_broken_rule_is_told(document, old, new, told):
+    assert old in document
+    broken = broken_rules(document.replace(old, new, 1).encode())
+    assert any(part in text for text in broken for part in told.split("|")), broken
+
+
+def test_a_covariance_that_is_none_is_told(document):
+    start = document.index("<si:covarianceMatrixXMLList>")
+    first = document.index("<si:valueXMLList>", start) + len("<si:valueXMLList>")
+    end = document.index(" ", first)
+    for value, told in (
+        ("-1e-9", "negative variance"),
+        ("1e-9 1e-9", "a covariance of"),
+        ("1e-30", "not symmetric"),
+    ):
+        broken = broken_rules((document[:first] + value + document[end:]).encode())
+        assert any(told in text for text in broken), broken
+
+
+def test_what_is_no_xml_and_what_would_fetch_something_is_told():
+    assert "not XML" in broken_rules(b"<a>")[0]
+    outside = b'<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><a>&b;</a>'
+    assert not any("root:" in text for text in broken_rules(outside))
+
+
+def test_schemas_of_the_user_are_checked_against(tmp_path, document):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "SI_Format.xsd").write_text(SCHEMA.format("2.2.1", "https://ptb.de/si", ">"))
+    content = (
+        'xmlns:ds="http://www.w3.org/2000/09/xmldsig#"><xs:import namespace="https://ptb.de/si" '
+        'schemaLocation="https://ptb.de/si/SI_Format.xsd"/><xs:import '
+        'namespace="http://www.w3.org/2000/09/xmldsig#" schemaLocation="https://x/xmldsig-core-schema.xsd"/>'
+        '<xs:element name="digitalCalibrationCertificate"><xs:complexType><xs:sequence>'
+        '<xs:any namespace="https://ptb.de/dcc" processContents="skip" maxOccurs="{}"/>'
+        '<xs:element ref="ds:Signature" minOccurs="0"/></xs:sequence>'
+        '<xs:anyAttribute processContents="skip"/></xs:complexType></xs:element>'
+    )
+    place = tmp_path / "deep" / "dcc.xsd"
+    for most, wrong in ((2, 0), (1, 1)):
+        place.write_text(SCHEMA.format("3.3.0", "https://ptb.de/dcc", content.format(most)))
+        schemas = read_schemas(tmp_path)
+        assert schemas.stood_in == ("xmldsig-core-schema.xsd",)
+        assert len(schemas.mistakes(document.encode())) == wrong
+
+
+def test_schemas_of_another_version_or_none_are_refused(tmp_path):
+    with pytest.raises(Refused, match=r"there is no dcc\.xsd"):
+        read_schemas(tmp_path)
+    (tmp_path / "dcc.xsd").write_text(SCHEMA.format("3.2.0", "https://ptb.de/dcc", ">"))
+    with pytest.raises(Refused, match=r"version 3\.2\.0"):
+        read_schemas(tmp_path)

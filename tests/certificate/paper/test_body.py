@@ -1,0 +1,265 @@
+"""The pages: what is on each of them, that names are never markup, that the same content gives the same bytes."""
+
+import io
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import pikepdf
+import pytest
+
+from bench.api.errors import Refused
+from bench.certificate.content import Before, Issue, Item
+from bench.certificate.gather import certificate_of
+from bench.certificate.laboratory import Person, load_laboratory
+from bench.certificate.order import load_order
+from bench.certificate.paper import proof
+from bench.certificate.paper.body import body_of
+from bench.certificate.paper.check import faults_of
+from bench.certificate.signature.pades import check_pdf, sign_pdf
+from bench.certificate.texts import texts_of
+from tests.support.certificates import ORDER, copy_run, write_files
+from tests.support.signed import NOW, a_signatory
+
+DCC = b'<?xml version="1.0"?>\n<certificate \xc2\xb5="1"/>\n'
+NUMBER = "SIM-2026-0007"
+NASTY = '#read("/etc/passwd") $x$ [a] *b* _c_ \\ @d <e> `f` "g" ~ // ґ µ\x1b[31m\u202e'
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("paper")
+    copy_run(folder / "runs")
+    laboratory, order = write_files(folder, {"logo": "logo.svg"}, ORDER)
+    (folder / "logo.svg").write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9"><circle r="4" cx="4" cy="4"/></svg>'
+    )
+    issue = Issue(NUMBER, "2026-11-22T18:00:00+02:00", Person(name="A. Example", role="head"))
+    return certificate_of("finished", folder / "runs", load_laboratory(laboratory), load_order(order), issue)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def drawn_once():
+    """Draw each figure once for all pages of this file."""
+    kept = {}
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("residuals_by_angle", "verification_points"):
+            draw = getattr(proof, name)
+            patch.setattr(
+                proof,
+                name,
+                lambda of, n=name, d=draw: kept.setdefault(n, None) or kept.update({n: d(of)}) or kept[n],
+            )
+        yield
+
+
+@pytest.fixture(scope="module")
+def body(certificate):
+    return body_of(certificate, DCC)
+
+
+def pages_of(pdf):
+    """Return the text of each page, by a reader that is not ours."""
+    if shutil.which("pdftotext") is None:
+        pytest.skip("pdftotext is not on this machine")
+    told = subprocess.run(["pdftotext", "-", "-"], input=pdf, capture_output=True, check=True).stdout  # noqa: S607
+    return [" ".join(page.split()) for page in told.decode().split("\f")[:-1]]
+
+
+def test_the_same_content_gives_the_same_bytes(certificate, body):
+    assert body_of(certificate, DCC) == body
+
+
+def test_it_is_what_it_claims_to_be_before_and_after_it_is_signed(body):
+    assert faults_of(body) == ()
+    signed = sign_pdf(body, a_signatory(), NOW, "Calibration certificate", "Kyiv")
+    assert faults_of(signed) == ()
+    assert signed.startswith(body)
+    check_pdf(signed)
+
+
+def test_each_page_has_the_number_and_says_that_it_is_simulated(body):
+    pages = pages_of(body)
+    assert len(pages) >= 4
+    for n, page in enumerate(pages, 1):
+        assert NUMBER in page
+        assert f"Page {n} of {len(pages)}" in page
+        assert "SIMULATED" in page
+        assert "DRAFT" not in page
+    assert [page.count("End of the certificate") for page in pages] == [0] * (len(pages) - 1) + [1]
+
+
+def test_the_first_page_answers(certificate, body):
+    first = pages_of(body)[0]
+    found = certificate.found
+    for words in (
+        "Calibration certificate",
+        "Navigation Works",
+        found.item.serial,
+        "2026-11-22",
+        "A. Example",
+        "as found",
+    ):
+        assert words in first
+    assert "Accredited" not in first
+    value = found.coefficients["Kxx"]
+    assert f"{value.value:.9f}"[:6].replace("-", "−") in first
+    assert "0.0003 g" in first
+    assert str(found.verification.statement) in first
+
+
+def test_the_pages_prove(certificate, body):
+    text = " ".join(pages_of(body)[1:])
+    record = certificate.found.record
+    assert record.head.replace(" ", "") in text.replace(" ", "")
+    for name in ("result.json", "readings.csv", "seal.json", "dcc.xml"):
+        assert name in text
+    for instrument in certificate.found.instruments:
+        assert instrument.name in text
+    assert "limit of Δg and decision rule as the record states them" in text
+
+
+def test_what_is_attached_is_there_byte_for_byte(certificate, body):
+    with pikepdf.open(io.BytesIO(body)) as pdf:
+        found = {name: file.get_file().read_bytes() for name, file in pdf.attachments.items()}
+        related = {name: str(file.obj.AFRelationship) for name, file in pdf.attachments.items()}
+    assert found == {"dcc.xml": DCC, **{one.name: one.content for one in certificate.attachments}}
+    assert related["dcc.xml"] == "/Data"
+    assert related["readings.csv"] == "/Source"
+
+
+def test_a_draft_says_so_on_every_page_and_needs_nobody(certificate):
+    bare = replace(certificate, issue=None, laboratory=None, order=None, unit=None)
+    draft = body_of(bare, DCC)
+    assert faults_of(draft) == ()
+    assert all("DRAFT" in page for page in pages_of(draft))
+    assert body_of(bare, DCC) == draft
+
+
+def test_names_are_never_markup(certificate):
+    """What stands in a name is set as it is; what acts in a terminal or turns the writing round is seen."""
+    found = replace(certificate.found, item=Item(NASTY, 'S/N "17" #1'), notes=(NASTY,))
+    (customer,) = (certificate.order.customer,)
+    order = certificate.order.model_copy(update={"customer": customer.model_copy(update={"name": NASTY})})
+    pdf = body_of(replace(certificate, found=found, order=order), DCC)
+    assert faults_of(pdf) == ()
+    text = " ".join(pages_of(pdf)).replace(" ", "")
+    shown = NASTY.replace("\x1b", "\\x1b").replace("\u202e", "\\u202e").replace(" ", "")
+    assert text.count(shown) == 3
+    assert "root:" not in text
+
+
+def test_a_letter_that_no_font_has_is_told(certificate):
+    with pytest.raises(Refused, match="no sign for 漢"):
+        body_of(replace(certificate, found=replace(certificate.found, item=Item("漢字", "1"))), DCC)
+
+
+def test_two_languages_stand_side_by_side(certificate):
+    two = (texts_of("en"), texts_of("de"))
+    before = Before("replaced", "SIM-2026-0003", "2026-10-01", "a wrong serial number", "0" * 64)
+    both = replace(certificate, texts=two, issue=replace(certificate.issue, before=before))
+    pdf = body_of(both, DCC)
+    assert faults_of(pdf) == ()
+    pages = pages_of(pdf)
+    for n, page in enumerate(pages, 1):
+        for words in (f"Page {n} of {len(pages)}", f"Seite {n} von {len(pages)}", "SIMULATED", "SIMULIERT"):
+            assert words in page
+    first = pages[0]
+    for words in (
+        "Calibration certificate",
+        "Kalibrierschein",
+        "SIM-2026-0003",
+        "Authorised by",
+        "Freigegeben von",
+    ):
+        assert words in first  # the answer and who stands for it have one page in two languages, too
+    assert (texts_of("en").entries.keys()) == (texts_of("de").entries.keys())
+
+
+def test_a_logo_that_is_none_is_told(certificate, tmp_path):
+    laboratory, _ = write_files(tmp_path, {"logo": "logo.txt"}, ORDER)
+    (tmp_path / "logo.txt").write_text("no picture")
+    with pytest.raises(Refused, match="no picture"):
+        body_of(replace(certificate, laboratory=load_laboratory(laboratory)), DCC)
+    (tmp_path / "logo.txt").unlink()
+    with pytest.raises(Refused, match="cannot be read"):
+        body_of(replace(certificate, laboratory=load_laboratory(laboratory)), DCC)
+
+
+# --- the rules of the check: each catches what breaks it -----------------------------------------------
+
+
+def broken(body, change):
+    out = io.BytesIO()
+    with pikepdf.open(io.BytesIO(body)) as pdf:
+        change(pdf)
+        pdf.save(out, static_id=True)
+    return out.getvalue()
+
+
+def to_level_u(pdf):
+    with pdf.open_metadata(set_pikepdf_as_editor=False) as told:
+        told["pdfaid:conformance"] = "U"
+
+
+def without_intent(pdf):
+    del pdf.Root["/OutputIntents"]
+
+
+def with_script(pdf):
+    pdf.Root.OpenAction = pdf.make_indirect(pikepdf.Dictionary(S=pikepdf.Name.JavaScript, JS="app.alert(1)"))
+
+
+def without_font(pdf):
+    for one in pdf.objects:
+        if isinstance(one, pikepdf.Dictionary) and "/FontFile3" in one:
+            del one["/FontFile3"]
+
+
+def not_associated(pdf):
+    pdf.Root.AF = pikepdf.Array(list(pdf.Root.AF)[1:])
+
+
+def unrelated(pdf):
+    del pdf.attachments["seal.json"].obj["/AFRelationship"]
+
+
+def one_more(pdf):
+    pdf.attachments["more.txt"] = b"more"
+
+
+def hidden_annotation(pdf):
+    note = pikepdf.Dictionary(Type=pikepdf.Name.Annot, Subtype=pikepdf.Name.Text, Rect=[0, 0, 9, 9], F=2)
+    pdf.pages[0].obj.Annots = pikepdf.Array([pdf.make_indirect(note)])
+
+
+def newer(pdf):
+    pdf.Root.Version = pikepdf.Name("/2.0")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (to_level_u, "level U"),
+        (without_intent, "output intent"),
+        (with_script, "JavaScript"),
+        (without_font, "not embedded"),
+        (not_associated, "not associated"),
+        (unrelated, "how it is related"),
+        (one_more, "attached more.txt"),
+        (hidden_annotation, "not printed"),
+        (newer, "version 2.0"),
+    ],
+)
+def test_what_breaks_a_rule_is_found(body, change, words):
+    assert any(words in fault for fault in faults_of(broken(body, change)))
+
+
+def test_what_is_no_such_file_is_told(body):
+    locked = io.BytesIO()
+    with pikepdf.open(io.BytesIO(body)) as pdf:
+        pdf.save(locked, encryption=pikepdf.Encryption(user="", owner="o"))
+    assert any("encrypted" in fault for fault in faults_of(locked.getvalue()))
+    assert re.search("does not begin", faults_of(b"")[0])
+    assert "cannot be read" in faults_of(body[:1000])[0]

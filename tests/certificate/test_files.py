@@ -1,0 +1,97 @@
+"""Laboratory and order files: read whole, every mistake told at once with its line."""
+
+from pathlib import Path
+
+import pytest
+
+from bench.base.forms import FileMistakes
+from bench.certificate.laboratory import load_laboratory
+from bench.certificate.order import load_order
+from bench.certificate.texts import LANGUAGES, texts_of
+from bench.files.shipped import CERTIFICATE, shipped_folder
+from tests.support.certificates import write_files
+
+
+def test_the_shipped_files_are_read():
+    laboratory = load_laboratory(shipped_folder(CERTIFICATE) / "laboratory.yaml")
+    order = load_order(shipped_folder(CERTIFICATE) / "order.yaml")
+    assert laboratory.language == ("en",)
+    assert laboratory.register_folder == shipped_folder(CERTIFICATE).absolute() / "register"
+    assert laboratory.person("A. Example").role == "head of the laboratory"
+    assert laboratory.person("Somebody else") is None
+    assert order.unit("any").state == "as found"
+
+
+def test_every_mistake_of_a_laboratory_is_told_at_once(tmp_path):
+    file = tmp_path / "laboratory.yaml"
+    file.write_text(
+        "name: L\n"
+        "address: {street: S, post_code: 1, city: C, country: Ukraine}\n"
+        "place: here\n"
+        "numbers: 'SIM-{count}'\n"
+        "regster: r\n"
+        "authorised: []\n"
+        "k: 0\n"
+        "language: [en, xx]\n"
+        "texts: {en: {titel: T}}\n"
+    )
+    with pytest.raises(FileMistakes) as error:
+        load_laboratory(file)
+    lines = str(error.value).splitlines()
+    assert [line.split(": ", 1)[0].rsplit(":", 1)[1] for line in lines] == ["2", "4", "5", "6", "7", "8", "9"]
+    assert "did you mean 'register'?" in lines[2]
+    assert "did you mean 'title'?" in lines[6]
+
+
+@pytest.mark.parametrize(
+    "scheme", ["{year}", "{count}{count}", "a/{count}", "{count.x}", "{count:04d}", "../{count}"]
+)
+def test_a_scheme_that_would_not_number_files_is_refused(tmp_path, scheme):
+    laboratory, _ = write_files(tmp_path, {"numbers": scheme})
+    with pytest.raises(FileMistakes, match="numbers: expected a scheme"):
+        load_laboratory(laboratory)
+
+
+def test_numbers_of_simulated_runs_are_a_series_of_their_own(tmp_path):
+    laboratory = load_laboratory(write_files(tmp_path, {"numbers": "L{year}/{count:3}".replace("/", "-")})[0])
+    assert laboratory.number(7, 2026, simulated=False) == "L2026-007"
+    assert laboratory.number(7, 2026, simulated=True) == "SIM-L2026-007"
+
+
+def test_units_of_an_order_are_found_by_serial_number(tmp_path):
+    units = [
+        {"serial": "17", "received": "2026-11-01", "condition": "scratched", "state": "as left"},
+        {"received": "2026-11-02", "condition": "undamaged", "state": "as found"},
+    ]
+    order = load_order(write_files(tmp_path, order={"units": units})[1])
+    assert order.unit("17").condition == "scratched"
+    assert order.unit("18").condition == "undamaged"
+
+
+def test_mistakes_between_the_units_of_an_order_are_told(tmp_path):
+    unit = {"serial": "17", "received": "2026-11-31", "condition": "x", "state": "as found"}
+    with pytest.raises(FileMistakes) as error:
+        load_order(write_files(tmp_path, order={"units": [unit, {**unit, "received": "2026-11-01"}]})[1])
+    assert "there is no day 2026-11-31" in str(error.value)
+    assert "unit 17 stands twice" in str(error.value)
+
+
+def test_languages_say_the_same_things():
+    keys = {language: set(texts_of(language).entries) for language in LANGUAGES}
+    assert set(LANGUAGES) == {"en", "de"}
+    assert keys["en"] == keys["de"]
+    import re
+
+    for key in keys["en"]:
+        blanks = {frozenset(re.findall(r"\{\w+\}", texts_of(name).entries[key])) for name in LANGUAGES}
+        assert len(blanks) == 1, key
+
+
+def test_a_laboratory_may_have_words_of_its_own(tmp_path):
+    own = {"language": ["en", "de"], "texts": {"de": {"title": "Prüfschein"}}}
+    laboratory = load_laboratory(write_files(tmp_path, own)[0])
+    from bench.certificate.gather import texts_for
+
+    english, german = texts_for(laboratory)
+    assert (english.say("title"), german.say("title")) == ("Calibration certificate", "Prüfschein")
+    assert Path(laboratory.register_).name == "register"

@@ -1,0 +1,136 @@
+"""What a certificate says is what the analyses say; what it lacks is told."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.api.errors import Refused
+from bench.certificate.content import Issue
+from bench.certificate.gather import certificate_of, missing
+from bench.certificate.laboratory import Person, load_laboratory
+from bench.certificate.order import Adjusted, load_order
+from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certificates")
+    copy_run(folder / "runs")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def files(folder):
+    laboratory, order = write_files(folder, {"k": 3}, ORDER)
+    return load_laboratory(laboratory), load_order(order)
+
+
+@pytest.fixture(scope="module")
+def certificate(folder, files):
+    return certificate_of("finished", folder / "runs", *files)
+
+
+def test_it_says_what_calibrate_and_verify_say(certificate):
+    found = certificate.found
+    own = found.result.calibration
+    assert [value.value for value in found.coefficients.values] == own.block.vector.tolist()
+    assert np.array_equal(found.coefficients.covariance, own.covariance)
+    assert [value.U for value in found.coefficients.values] == [3 * u for u in own.u.tolist()]
+    assert certificate.coverage == pytest.approx(0.9973, abs=1e-4)
+    assert found.inverse.covariance.shape == (12, 12)
+    assert np.allclose(
+        np.array([value.value for value in found.inverse.values[:9]]).reshape(3, 3) @ own.block.K, np.eye(3)
+    )
+    assert found.verification.passed == found.verdict.passed
+    assert found.verification.p_outside == found.verdict.verification.p_outside
+
+
+def test_it_says_where_the_numbers_come_from(certificate):
+    found = certificate.found
+    assert certificate.simulated
+    assert found.record.events == len(found.result.source.run.history.events)
+    assert found.record.head == found.result.source.run.history.head
+    assert found.operator == "A. Person"
+    assert found.method.procedure == "quick.yaml"
+    assert [one.name for one in found.instruments][:4] == [
+        "voltmeter.x",
+        "voltmeter.y",
+        "voltmeter.z",
+        "head",
+    ]
+    (temperature,) = (one for one in found.conditions if one.key == "temperature")
+    assert temperature.low <= temperature.high
+    (gravity,) = (one for one in found.conditions if one.key == "gravity")
+    assert gravity.u > 0
+    assert found.begun < found.ended
+
+
+def test_nothing_of_it_depends_on_the_folder(certificate, files, tmp_path):
+    shutil.copytree(RECORDED, tmp_path / "elsewhere" / "finished")
+    again = certificate_of("finished", tmp_path / "elsewhere", *files)
+    assert again.found.result_json == certificate.found.result_json
+    assert again.attachments == certificate.attachments
+    assert again.found.notes == certificate.found.notes
+    assert str(tmp_path) not in again.found.result_json
+
+
+def test_nothing_is_missing_where_all_is_said(certificate):
+    assert missing(certificate) == ()
+
+
+def test_a_draft_needs_neither_laboratory_nor_order(folder):
+    draft = certificate_of("finished", folder / "runs")
+    assert draft.draft
+    assert len(missing(draft)) == 2
+
+
+def test_what_17025_asks_for_and_is_not_there_is_listed(folder, files, tmp_path):
+    laboratory, _ = files
+    unit = {**ORDER["units"][0], "received": "2026-12-01"}
+    order = load_order(write_files(tmp_path, order={"units": [unit]})[1])
+    late = certificate_of("finished", folder / "runs", laboratory, order)
+    assert ["2026-12-01 is after 2026-11-22" in text for text in missing(late)] == [True]
+    other = load_order(write_files(tmp_path, order={"units": [{**ORDER["units"][0], "serial": "9"}]})[1])
+    assert (
+        "unit '1' in the order file"
+        in missing(certificate_of("finished", folder / "runs", laboratory, other))[0]
+    )
+    early = Issue("1", "2026-11-01T00:00:00+00:00", Person(name="A"))
+    dated = certificate_of("finished", folder / "runs", *files, early)
+    assert "2026-11-01 is before 2026-11-22" in missing(dated)[0]
+
+
+def test_real_instruments_without_certificates_are_missing_unless_that_was_agreed(bench, tmp_path):
+    readings = RECORDED.parent / "readings.csv"
+    assert bench("import", readings, "--name", "mine", "--bench", RECORDED / "bench.yaml")[0] == 0
+    laboratory, order = write_files(
+        tmp_path, order={"units": [{**ORDER["units"][0], "received": "2020-01-01"}]}
+    )
+    read = load_laboratory(laboratory), load_order(order)
+    lacking = missing(certificate_of("mine", Path("runs"), *read))
+    assert "traceability of voltmeter.x, voltmeter.y, voltmeter.z, head" in lacking[0]
+    assert "state 'calibrated' for the unit" in lacking[1]
+    agreed = read[1].model_copy(update={"without_certificates": "a comparison in the house"})
+    assert not any(
+        "traceability" in text for text in missing(certificate_of("mine", Path("runs"), read[0], agreed))
+    )
+
+
+def test_a_unit_that_was_adjusted_shows_both(folder, files):
+    laboratory, order = files
+    adjusted = Adjusted(what="trimmed", as_found="finished")
+    unit = order.units[0].model_copy(update={"state": "as left", "adjusted": adjusted})
+    order = order.model_copy(update={"units": (unit,)})
+    both = certificate_of("finished", folder / "runs", laboratory, order)
+    assert both.as_found.record.run == "finished"
+    assert both.state == "as left"
+
+
+def test_no_certificate_is_of_a_readings_file_or_a_run_that_goes_on(folder):
+    with pytest.raises(Refused, match="'bench import"):
+        certificate_of(str(RECORDED.parent / "readings.csv"), folder / "runs")
+    shutil.copytree(RECORDED.parent / "interrupted", folder / "runs" / "interrupted")
+    with pytest.raises(Refused, match="the run is interrupted"):
+        certificate_of("interrupted", folder / "runs")

@@ -1,0 +1,152 @@
+"""Certificates from the command line: issued once, amended, revoked, handed out and made again."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from lxml import etree
+
+from bench.certificate.dcc.nodes import NAMESPACES
+from bench.certificate.signature.xades import check_xml
+from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
+from tests.support.schemas import keeps_to
+
+BY = ("--authorised-by", "A. Example")
+
+
+@pytest.fixture
+def desk(empty_folder):
+    """Laboratory and order as options, and a run `finished`."""
+    Path("runs").mkdir()
+    copy_run(Path("runs"))
+    laboratory, order = write_files(Path(), order=ORDER)
+    return ("--laboratory", laboratory, "--order", order, *BY)
+
+
+def number_in(file):
+    return etree.parse(file).findtext(".//dcc:uniqueIdentifier", namespaces=NAMESPACES)
+
+
+@pytest.mark.slow
+def test_a_certificate_is_issued_once_and_handed_out_again(bench, desk):
+    status, out, err = bench("certificate", "finished", *desk, "--json", "first.json")
+    assert status == 0, err
+    assert "issued as SIM-2026-0001" in out
+    assert "not signed" in err
+    issued = {path.name: path.read_bytes() for path in Path("register").glob("SIM*")}
+    assert set(issued) == {"SIM-2026-0001.xml", "SIM-2026-0001.pdf"}
+    assert number_in("register/SIM-2026-0001.xml") == "SIM-2026-0001"
+    first = json.loads(Path("first.json").read_text())
+    keeps_to("certificate", first)
+    assert first["certificates"][0]["issued_before"] is False
+
+    status, out, err = bench("certificate", "issue", "finished", *desk)
+    assert (status, "issued before as SIM-2026-0001" in out, err) == (0, True, "")
+    shutil.rmtree("runs/finished/what-if", ignore_errors=True)
+    status, out, _ = bench(
+        "certificate", "register", "SIM-2026-0001", *desk[:2], "--out", "again", "--json", "r.json"
+    )
+    assert status == 0
+    assert {path.name: path.read_bytes() for path in Path("again").iterdir()} == issued
+    keeps_to("certificate-register", json.loads(Path("r.json").read_text()))
+
+
+@pytest.mark.slow
+def test_the_unsigned_certificate_is_made_again_byte_for_byte(bench, desk, tmp_path):
+    key = tmp_path / "keys" / "laboratory.pem"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bench.cli.passphrase.passphrase", lambda *_: b"", raising=True)
+        from bench.certificate.signature.signatory import new_certificate_key
+        from drivers.clock import utc_now
+
+        new_certificate_key(key, "Laboratory", None, utc_now())
+    status, _, err = bench("certificate", "finished", *desk, "--key", key)
+    assert (status, err) == (0, "")
+    check_xml(Path("register/SIM-2026-0001.xml").read_bytes())
+    Path("order.yaml").unlink()
+    bench("seal", "finished")
+    status, out, err = bench("certificate", "register", *desk[:2], "--again", "--json", "-")
+    assert status == 0, err
+    assert json.loads(out)["certificates"][0]["made_again"] is True
+    with Path("runs/finished/events.jsonl").open("rb+") as events:
+        events.truncate(events.seek(0, 2) - 40)
+    status, _, err = bench("certificate", "register", *desk[:2], "--again")
+    assert status == 1
+    assert "SIM-2026-0001: " in err
+
+
+@pytest.mark.slow
+def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, desk):
+    assert bench("certificate", "finished", *desk)[0] == 0
+    first = Path("register/SIM-2026-0001.xml").read_bytes()
+    amend = ("certificate", "amend", "SIM-2026-0001", "finished", "--reason", "a name")
+    status, out, err = bench(*amend, *desk)
+    assert (status, "SIM-2026-0002" in out) == (0, True), err
+    core = etree.parse("register/SIM-2026-0002.xml").find(".//dcc:coreData", NAMESPACES)
+    assert core.findtext("dcc:previousReport/dcc:referralID", namespaces=NAMESPACES) == "SIM-2026-0001"
+    import hashlib
+
+    said = core.findtext("dcc:previousReport/dcc:value", namespaces=NAMESPACES)
+    assert said == hashlib.sha256(first).hexdigest()
+    status, _, err = bench(*amend, *desk)
+    assert (status, "it was amended by SIM-2026-0002" in err) == (2, True)
+    revoke = ("certificate", "revoke", "SIM-2026-0002", "--reason", "wrong unit", *desk[:2], *BY)
+    assert bench(*revoke)[0] == 0
+    status, _, err = bench(*revoke)
+    assert (status, "it was revoked: wrong unit" in err) == (2, True)
+    _, out, _ = bench("certificate", "register", *desk[:2])
+    assert "amended (SIM-2026-0002)" in out
+    assert "revoked (wrong unit)" in out
+    assert bench("certificate", "finished", *desk)[1].startswith("finished: issued as SIM-2026-0003")
+
+
+@pytest.mark.slow
+def test_one_bad_run_does_not_stop_the_others(bench, desk):
+    shutil.copytree(RECORDED.parent / "interrupted", "runs/interrupted")
+    copy_run(Path("runs"), "changed")
+    lines = Path("runs/changed/events.jsonl")
+    lines.write_bytes(lines.read_bytes().replace(b"step_done", b"step_dnoe", 1))
+    status, out, err = bench(
+        "certificate", "nosuch", "interrupted", "changed", "finished", *desk, "--json", "all.json"
+    )
+    assert status == 1
+    assert "finished: issued as SIM-2026-0001" in out
+    for name, why in (
+        ("nosuch", "no run of that name"),
+        ("interrupted", "has ended"),
+        ("changed", "cannot be trusted"),
+    ):
+        assert any(line.startswith(f"bench: {name}: ") and why in line for line in err.splitlines()), err
+    told = json.loads(Path("all.json").read_text())["certificates"]
+    keeps_to("certificate", {"certificates": told})
+    assert [one["number"] for one in told] == [None, None, None, "SIM-2026-0001"]
+
+
+@pytest.mark.slow
+def test_a_draft_needs_nobody_and_takes_no_number(bench, desk):
+    assert bench("certificate", "finished", "--draft")[0] == 0
+    assert Path("runs/finished/certificate-draft.pdf").read_bytes().startswith(b"%PDF")
+    assert bench("certificate", "issue", "finished", "--draft", "--out", "drafts")[0] == 0
+    assert Path("drafts/finished-certificate-draft.pdf").is_file()
+    assert not Path("register").exists()
+
+
+def test_what_a_certificate_needs_is_told(bench, desk):
+    status, _, err = bench("certificate", "finished", "--laboratory", "laboratory.yaml")
+    assert (status, "needs --order FILE, --authorised-by NAME" in err) == (2, True)
+    status, _, err = bench("certificate", "finished", *desk[:4], "--authorised-by", "Somebody")
+    assert (status, "nobody else may authorise" in err) == (2, True)
+    status, _, err = bench("certificate", "revoke", "7", "--reason", "x", *desk[:2], *BY)
+    assert (status, "no certificate of that number" in err) == (2, True)
+    Path("order.yaml").write_text("customer: me\nunits: []\n")
+    status, _, err = bench("certificate", "finished", *desk)
+    assert (status, "order.yaml:1: customer" in err, "order.yaml:2: units" in err) == (2, True, True)
+
+
+def test_what_is_missing_is_listed_and_nothing_is_issued(bench, desk):
+    write_files(Path(), order={"units": [{**ORDER["units"][0], "received": "2026-12-01"}]})
+    status, _, err = bench("certificate", "finished", *desk)
+    assert status == 2
+    assert "not issued; missing: a day of receipt" in err
+    assert list(Path("register").glob("SIM*")) == []

@@ -1,0 +1,183 @@
+"""The register: lines are only added, a number is there with its files or not at all, one program at a time."""
+
+import json
+import os
+
+import pytest
+
+from bench.api.errors import Refused
+from bench.certificate import register as module
+from bench.certificate.register import ISSUED, REVOKED, Entry, Register, opened
+
+LINES = module.LINES
+
+
+def entry(number, **data):
+    return Entry(ISSUED, number, "2026-11-22T12:00:00+00:00", "A. Example", {"record": {"head": "x"}, **data})
+
+
+def issue(folder, *numbers):
+    with opened(folder) as register:
+        for number in numbers:
+            register.issue(entry(number), {f"{number}.xml": number.encode(), f"{number}.pdf": b"pdf"})
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()} - {".register.lock", "made-from"}
+
+
+def test_what_was_issued_is_there_when_it_is_opened_again(tmp_path):
+    issue(tmp_path, "1", "2")
+    with opened(tmp_path) as register:
+        assert list(register.standings) == ["1", "2"]
+        assert register.file("2.xml") == b"2"
+        assert register.number_after(iter("123")) == "3"
+    assert names(tmp_path) == {LINES, "1.xml", "1.pdf", "2.xml", "2.pdf"}
+
+
+def test_a_number_is_never_issued_twice(tmp_path):
+    issue(tmp_path, "1")
+    with opened(tmp_path) as register, pytest.raises(Refused, match="issued already"):
+        register.issue(entry("1"), {"1.xml": b"other"})
+    assert (tmp_path / "1.xml").read_bytes() == b"1"
+
+
+def test_each_line_has_the_hash_of_the_one_before(tmp_path):
+    issue(tmp_path, "1", "2", "3")
+    lines = (tmp_path / LINES).read_bytes().splitlines(keepends=True)
+    for wrong in (
+        lines[:1] + lines[2:],
+        [lines[0].replace(b"A. Example", b"A. Nother"), *lines[1:]],
+        [*lines, lines[0]],
+        [b"{}\n"],
+    ):
+        (tmp_path / LINES).write_bytes(b"".join(wrong))
+        with pytest.raises(Refused, match=f"{LINES}, line"), opened(tmp_path):
+            pass
+
+
+def test_lines_that_are_taken_away_while_it_is_known_are_noticed(tmp_path):
+    issue(tmp_path, "1", "2")
+    with opened(tmp_path) as register:
+        pass
+    lines = (tmp_path / LINES).read_bytes().splitlines(keepends=True)
+    (tmp_path / LINES).write_bytes(lines[0])
+    with pytest.raises(Refused, match="taken off its end"), opened(tmp_path, register):
+        pass
+
+
+def test_a_half_written_line_is_no_line(tmp_path):
+    issue(tmp_path, "1")
+    with (tmp_path / LINES).open("ab") as file:
+        file.write(b'{"n": 2, "type": "iss')
+    issue(tmp_path, "2")
+    with opened(tmp_path) as register:
+        assert list(register.standings) == ["1", "2"]
+
+
+def killed(tmp_path, monkeypatch, name, after):
+    """Issue number 2, and stop as if killed at the `after`-th call of an operation."""
+    calls = []
+
+    class Killed(BaseException):
+        pass
+
+    real = getattr(module, name)
+
+    def operation(*arguments):
+        calls.append(arguments)
+        if len(calls) == after:
+            raise Killed
+        return real(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, operation)
+        try:
+            issue(tmp_path, "2")
+        except Killed:
+            return True
+    return False
+
+
+@pytest.mark.parametrize(
+    ("operation", "after"), [("_write_through", 1), ("_write_through", 2), ("_sync_folder", 1)]
+)
+def test_killed_before_its_line_a_certificate_is_not_there(tmp_path, monkeypatch, operation, after):
+    issue(tmp_path, "1")
+    assert killed(tmp_path, monkeypatch, operation, after)
+    with opened(tmp_path) as register:
+        assert list(register.standings) == ["1"]
+        assert register.number_after(iter("123")) == "2"
+    assert names(tmp_path) == {LINES, "1.xml", "1.pdf"}
+
+
+def test_killed_after_its_line_a_certificate_is_there_whole(tmp_path, monkeypatch):
+    issue(tmp_path, "1")
+    assert killed(tmp_path, monkeypatch, "_sync_folder", 2)
+    assert "2.xml.part" in names(tmp_path)
+    with opened(tmp_path) as register:
+        assert register.file("2.xml") == b"2"
+        assert register.damaged_files() == []
+    assert names(tmp_path) == {LINES, "1.xml", "1.pdf", "2.xml", "2.pdf"}
+
+
+def test_a_file_that_was_changed_is_not_handed_out(tmp_path):
+    issue(tmp_path, "1")
+    (tmp_path / "1.pdf").write_bytes(b"other")
+    (tmp_path / "1.xml").unlink()
+    with opened(tmp_path) as register:
+        with pytest.raises(Refused, match="not the file that was issued"):
+            register.file("1.pdf")
+        assert len(register.damaged_files()) == 2
+        with pytest.raises(Refused, match=r"no file \.\./1\.pdf was issued"):
+            register.file("../1.pdf")
+
+
+def test_what_is_kept_is_kept_once_and_checked(tmp_path):
+    with opened(tmp_path) as register:
+        digest = register.keep(b"order")
+        assert register.keep(b"order") == digest
+        assert register.kept(digest) == b"order"
+        (tmp_path / "made-from" / digest).write_bytes(b"another order")
+        with pytest.raises(Refused, match="was changed"):
+            register.kept(digest)
+
+
+def test_what_replaces_and_what_revokes_is_known(tmp_path):
+    issue(tmp_path, "1", "2")
+    with opened(tmp_path) as register:
+        before = {"number": "1", "kind": "amended"}
+        register.issue(entry("3", before=before), {"3.xml": b"3"})
+        register.revoke(Entry(REVOKED, "2", "2026-11-23", "A. Example", {"reason": "wrong unit"}))
+    with opened(tmp_path) as register:
+        told = {number: (one.state, one.by) for number, one in register.standings.items()}
+    assert told == {"1": ("amended", "3"), "2": ("revoked", "wrong unit"), "3": ("issued", "")}
+
+
+def test_the_same_register_stays_open_for_the_next_certificate(tmp_path):
+    known = Register(tmp_path)
+    for number in "12":
+        with opened(tmp_path, known) as register:
+            register.issue(entry(number), {f"{number}.xml": b""})
+        issue(tmp_path, f"by-another-{number}")
+    with opened(tmp_path, known) as register:
+        assert list(register.standings) == ["1", "by-another-1", "2", "by-another-2"]
+
+
+def test_another_program_is_waited_for_and_then_told_of(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "WAIT_S", 0.05)
+    with opened(tmp_path), pytest.raises(Refused, match="another program keeps"), opened(tmp_path):
+        pass
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_is_told(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(Refused, match="cannot be written"), opened(tmp_path / "register"):
+        pass
+
+
+def test_a_line_is_readable_by_people(tmp_path):
+    issue(tmp_path, "1")
+    told = json.loads((tmp_path / LINES).read_text(encoding="utf-8"))
+    assert (told["n"], told["type"], told["number"], told["by"]) == (1, "issued", "1", "A. Example")

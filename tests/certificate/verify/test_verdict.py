@@ -1,0 +1,213 @@
+"""What is told of a certificate: intact or not, by whom, what agrees with what, what is not proved."""
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.serialization import Encoding
+
+from bench.api.errors import Refused
+from bench.certificate.dcc.document import document_of
+from bench.certificate.paper import proof
+from bench.certificate.paper.body import body_of
+from bench.certificate.signature.pades import sign_pdf
+from bench.certificate.signature.xades import sign_xml
+from bench.certificate.verify.verdict import verify_certificate
+from tests.support.certificates import RECORDED
+from tests.support.signed import NOW, a_signatory, authority
+
+SVG = '<svg viewBox="0 0 2 1"><path d="M0 0L2 1" stroke="black"/></svg>'
+OTHER = "Somebody else"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_figures():
+    """Leave the figures out: they take most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("residuals_by_angle", "verification_points"):
+            patch.setattr(proof, name, lambda _: SVG)
+        yield
+
+
+@dataclass
+class Made:
+    """The signed forms of a certificate, and what makes others of it."""
+
+    certificate: object
+    xml: bytes
+    pdf: bytes
+
+    def paper(self, xml, signer=None, now=NOW):
+        return sign_pdf(body_of(self.certificate, xml), signer or a_signatory(), now, "", "")
+
+
+@pytest.fixture(scope="module")
+def made(issued_certificate):
+    xml = sign_xml(document_of(issued_certificate), a_signatory(), NOW)
+    return Made(
+        issued_certificate, xml, sign_pdf(body_of(issued_certificate, xml), a_signatory(), NOW, "", "")
+    )
+
+
+@pytest.fixture
+def written(made, tmp_path):
+    """The two forms beside each other."""
+    (tmp_path / "c.xml").write_bytes(made.xml)
+    (tmp_path / "c.pdf").write_bytes(made.pdf)
+    return tmp_path
+
+
+def trust_in(folder, *certificates):
+    file = folder / "trust.pem"
+    file.write_bytes(b"".join(one.public_bytes(Encoding.PEM) for one in certificates))
+    return file
+
+
+def looked_at(file, trust=None, runs=Path("nowhere")):
+    return verify_certificate(file, trust, runs)
+
+
+@pytest.mark.parametrize("name", ["c.pdf", "c.xml"])
+def test_without_a_trust_file_it_is_intact_and_the_signer_unknown(written, name):
+    verdict = looked_at(written / name)
+    assert verdict.headline == "intact, signer unknown"
+    assert verdict.accepted
+    assert any("who signed" in text for text in verdict.not_proved)
+    assert any("no authority stamped it" in text for text in verdict.not_proved)
+    assert any("record is not at hand" in text for text in verdict.not_proved)
+    assert any("beside it says the same" in text for text in verdict.agreed)
+
+
+def test_with_one_it_is_of_the_signer_or_of_another(written):
+    own = trust_in(written, a_signatory().chain[0])
+    verdict = looked_at(written / "c.pdf", own)
+    assert (verdict.headline, verdict.accepted) == ("intact, signed by Laboratory of Tests", True)
+    assert not any("who signed" in text for text in verdict.not_proved)
+    other = trust_in(written, authority("Another").certificate)
+    verdict = looked_at(written / "c.xml", other)
+    assert (verdict.headline, verdict.accepted) == ("intact, signer not trusted", False)
+
+
+def test_what_is_shown_is_what_was_signed(made, written):
+    shown = looked_at(written / "c.pdf").shown
+    found = made.certificate.found
+    assert shown.number == made.certificate.number
+    assert shown.laboratory == "Inertial Calibration Laboratory"
+    assert shown.customer == "Navigation Works"
+    assert shown.items == (f"{found.item.type}, {found.item.serial}",)
+    assert shown.simulated
+    assert shown.authorised_by == "A. Example"
+    assert [one.value for one in shown.coefficients] == [one.value for one in found.coefficients.values]
+    assert [list(row) for row in shown.covariance] == found.coefficients.covariance.tolist()
+    json.dumps(looked_at(written / "c.pdf").to_json())
+
+
+def test_comments_are_told_and_not_shown(made, tmp_path):
+    (tmp_path / "c.xml").write_bytes(made.xml.replace(b"Navigation Works", b"Nav<!-- -->igation Works"))
+    verdict = looked_at(tmp_path / "c.xml")
+    assert verdict.intact
+    assert verdict.shown.customer == "Navigation Works"
+    assert "1 comments" in verdict.not_signed[0]
+
+
+def test_the_record_is_held_against_it(written, tmp_path):
+    shutil.copytree(RECORDED, tmp_path / "runs" / "finished")
+    verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
+    assert verdict.intact
+    assert any("the same result to the last digit" in text for text in verdict.agreed)
+    assert not any("not at hand" in text for text in verdict.not_proved)
+    events = tmp_path / "runs" / "finished" / "events.jsonl"
+    events.write_bytes(b"".join(events.read_bytes().splitlines(keepends=True)[:-1]))
+    verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
+    assert verdict.headline == "NOT INTACT"
+    assert "sealed were" in verdict.wrong[0]
+
+
+def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
+    folder = shutil.copytree(RECORDED, tmp_path / "runs" / "finished")
+    (folder / "run.json").write_text((folder / "run.json").read_text().replace("A. Person", "B. Person"))
+    verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
+    assert verdict.intact
+    assert any("not at hand" in text for text in verdict.not_proved)
+
+
+def swapped_signer(made):
+    """The PDF of one signer around the XML of another."""
+    return made.paper(made.xml, a_signatory(OTHER))
+
+
+def other_number(made):
+    changed = document_of(made.certificate).replace(b"SIM-2026-0001<", b"SIM-2026-0002<")
+    return made.paper(sign_xml(changed, a_signatory(), NOW))
+
+
+def unsigned_within(made):
+    return made.paper(document_of(made.certificate))
+
+
+def changed_within(made):
+    return made.paper(made.xml.replace(b"Navigation Works", b"Navigation Work"))
+
+
+def other_values(made):
+    value = repr(made.certificate.found.coefficients["Kxx"].value).encode()
+    document = document_of(made.certificate)
+    changed = document.replace(value + b" ", b"-2.0 ", 1)
+    assert changed != document
+    return made.paper(sign_xml(changed, a_signatory(), NOW))
+
+
+def other_result(made):
+    """An XML that holds another result than the PDF has attached."""
+    import base64
+
+    (result,) = (one for one in made.certificate.attachments if one.name == "result.json")
+    old, new = base64.b64encode(result.content), base64.b64encode(result.content + b" ")
+    document = document_of(made.certificate)
+    assert old in document
+    return made.paper(sign_xml(document.replace(old, new), a_signatory(), NOW))
+
+
+def no_certificate(made):
+    return made.paper(sign_xml(b"<nothing/>", a_signatory(), NOW))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (swapped_signer, "was signed by Somebody else, its XML by Laboratory of Tests"),
+        (other_number, "its XML of certificate SIM-2026-0002"),
+        (unsigned_within, "the attached dcc.xml: nobody signed it"),
+        (changed_within, "the attached dcc.xml: the signature does not hold"),
+        (other_values, "are not those of the result that it holds"),
+        (other_result, "result.json in the XML is another"),
+        (no_certificate, "no digital calibration certificate"),
+    ],
+)
+def test_forms_that_do_not_agree_are_refused_whoever_signed_them(made, tmp_path, make, words):
+    (tmp_path / "c.pdf").write_bytes(make(made))
+    verdict = looked_at(tmp_path / "c.pdf")
+    assert (verdict.headline, verdict.accepted) == ("NOT INTACT", False)
+    assert words in " ".join(verdict.wrong)
+    assert verdict.to_json()["signed"] is None
+
+
+def test_another_certificate_beside_it_is_told(made, written):
+    theirs = sign_xml(document_of(made.certificate), a_signatory(OTHER), NOW)
+    (written / "c.xml").write_bytes(theirs)
+    assert "c.xml beside it is another certificate" in looked_at(written / "c.pdf").wrong[0]
+    assert "c.pdf beside it is another certificate" in looked_at(written / "c.xml").wrong[0]
+    (written / "c.xml").write_bytes(made.xml)
+    (written / "c.pdf").write_bytes(made.pdf + b"\n")
+    assert "c.pdf beside it: something was appended" in looked_at(written / "c.xml").wrong[0]
+
+
+def test_files_that_cannot_be_read_are_told(tmp_path):
+    with pytest.raises(Refused, match="cannot be read"):
+        looked_at(tmp_path / "none.pdf")
+    (tmp_path / "c.pdf").write_bytes(b"nothing")
+    with pytest.raises(Refused, match="no X\\.509"):
+        looked_at(tmp_path / "c.pdf", tmp_path / "c.pdf")
+    assert "not a PDF" in looked_at(tmp_path / "c.pdf").wrong[0]

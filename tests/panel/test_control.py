@@ -1,0 +1,163 @@
+"""What a person asks of a run: the holder's answers and wishes, everybody's stop, nothing without the right to."""
+
+import json
+import shutil
+
+import pytest
+
+from bench.panel.access.people import Role
+from bench.panel.holding import JOURNAL, read_holding
+from bench.run.answers import ANSWERS, asked_to_json
+from bench.run.control import CONTROL
+from bench.run.folder import Run
+from bench.run.record import Record
+from drivers.clock import utc_now
+from drivers.interfaces import Prompt, PromptKind
+from tests.support.pages import ROOT
+from tests.support.panel_client import Browser
+
+RECORDS = ROOT / "tests" / "data" / "records"
+QUESTION = Prompt(
+    id="step-1@9", kind=PromptKind.CONFIRM, text="Mounted?", default="yes", action={"do": "mount"}
+)
+
+
+@pytest.fixture
+def runs(tmp_path):
+    (tmp_path / "runs").mkdir()
+    shutil.copytree(RECORDS / "interrupted", tmp_path / "runs" / "one")
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def one(runs):
+    return runs / "one"
+
+
+@pytest.fixture
+def alive(one):
+    """The record of the run, which somebody carries out, and who has asked something."""
+    record, history = Record.reopen(one, utc_now)
+    record.append("run_resumed", history.events[-1].bench_s, step=1, instruments={})
+    record.append("asked", history.events[-1].bench_s, **asked_to_json(QUESTION))
+    yield record
+    record.close()
+
+
+@pytest.fixture
+def anna(runs):
+    return Browser(runs, "anna")
+
+
+def lines(file):
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+def test_the_holder_answers_the_question_that_stands(anna, one, alive):
+    answer = {"id": QUESTION.id, "text": "yes"}
+    status, told = anna.ask("/runs/one/answer", **answer)
+    assert (status, told["problem"]) == (403, "nobody is in control; take it first")
+    assert anna.ask("/runs/one/control", do="take")[0] == 200
+    assert anna.ask("/runs/one/answer", **answer) == (200, {"done": "answered"})
+    who = {"by": "anna", "role": "operator", "where": "panel"}
+    assert lines(one / ANSWERS) == [{"id": QUESTION.id, "answer": "yes", **who}]
+
+
+def test_an_answer_that_is_stale_or_does_not_fit_is_refused_and_not_left(anna, one, alive):
+    anna.ask("/runs/one/control", do="take")
+    assert anna.ask("/runs/one/answer", id="step-0@3", text="yes")[0] == 409
+    status, told = anna.ask("/runs/one/answer", id=QUESTION.id, text="perhaps")
+    assert (status, told["problem"]) == (422, "answer yes or no, not 'perhaps'")
+    assert anna.ask("/runs/one/answer", id=QUESTION.id, text="y" * 5000)[0] == 413
+    assert lines(one / ANSWERS) == []
+
+
+def test_a_question_that_was_answered_takes_no_second_answer(anna, runs, one, alive):
+    anna.ask("/runs/one/control", do="take")
+    alive.append("answered", 0.0, id=QUESTION.id, answer="yes", by="x", role="supervisor", where="terminal")
+    again = Browser(runs, "sue", Role.SUPERVISOR)  # another panel, as after a restart
+    again.ask("/runs/one/control", do="force")
+    status, told = again.ask("/runs/one/answer", id=QUESTION.id, text="yes")
+    assert status == 409
+    assert "was answered" in told["problem"]
+    assert lines(one / ANSWERS) == []
+
+
+def test_stop_is_everybodys_and_all_else_the_holders(runs, one, alive):
+    eve = Browser(runs, "eve", Role.VIEWER)
+    for word in ("pause", "redo", "skip", "abort"):
+        assert eve.ask("/runs/one/wish", wish=word, reason="x")[0] == 403
+    ben = Browser(runs, "ben")
+    assert ben.ask("/runs/one/wish", wish="pause")[0] == 403
+    assert lines(one / CONTROL) == []
+    ben.ask("/runs/one/control", do="take")
+    assert ben.ask("/runs/one/wish", wish="skip")[0] == 400
+    assert ben.ask("/runs/one/wish", wish="skip", reason="the cable\ncame loose") == (
+        200,
+        {"done": "skip is asked for"},
+    )
+    who = {"by": "ben", "role": "operator", "where": "panel"}
+    assert lines(one / CONTROL)[-1] == {"wish": "skip", "reason": "the cable came loose", **who}
+    assert eve.ask("/runs/one/wish", wish="fly", reason="x")[0] == 403
+    assert eve.ask("/runs/one/control", do="take")[0] == 403
+
+
+def test_nobody_hears_a_wish_for_a_run_that_nobody_carries_out(anna, one):
+    anna.ask("/runs/one/control", do="take")
+    status, told = anna.ask("/runs/one/wish", wish="pause")
+    assert (status, told["problem"]) == (409, "nobody is carrying out this run")
+    assert not (one / CONTROL).exists()
+
+
+def test_a_run_is_given_up_for_good_by_who_is_in_control(anna, runs, one):
+    ben = Browser(runs, "ben")
+    ben.ask("/runs/one/control", do="take")
+    assert anna.ask("/runs/one/give-up")[0] == 403
+    assert anna.ask("/runs/one/wish", wish="abort")[0] == 403
+    assert Run(one).history.state == "interrupted"
+    assert ben.ask("/runs/one/wish", wish="abort")[0] == 200
+    history = Run(one).history
+    assert (history.state, history.problems) == ("aborted", ())
+    assert history.events[-1].data == {"by": "ben", "role": "operator", "where": "panel"}
+    assert ben.ask("/runs/one/give-up")[0] == 409
+
+
+def test_resuming_takes_control_where_nobody_has_it(anna, runs, one, monkeypatch):
+    started = []
+    monkeypatch.setattr("bench.panel.pages.control.resume_run", lambda run: started.append(run.name))
+    ben = Browser(runs, "ben")
+    assert anna.post("/runs/one/resume").headers["location"] == "/runs/one/"
+    assert read_holding(one).holder == "anna"
+    assert ben.ask("/runs/one/resume")[0] == 403
+    assert Browser(runs, "eve", Role.VIEWER).ask("/runs/one/resume")[0] == 403
+    assert started == ["one"]
+
+
+def test_taking_over_asks_and_is_answered(anna, runs, one):
+    ben = Browser(runs, "ben")
+    assert anna.ask("/runs/one/control", do="take")[1]["control"]["holder"] == "anna"
+    assert ben.ask("/runs/one/control", do="ask")[1]["control"]["asking"] == ["ben"]
+    assert ben.ask("/runs/one/control", do="force")[0] == 403
+    assert anna.ask("/runs/one/control", do="grant", to="ben")[1]["control"]["holder"] == "ben"
+    assert [line["did"] for line in lines(one / JOURNAL)] == ["taken", "asked", "granted"]
+
+
+def test_what_the_script_is_told_names_who_is_in_control(anna):
+    anna.ask("/runs/one/control", do="take")
+    told = anna.get("/runs/one/state").json()
+    assert told["control"]["holder"] == "anna"
+    assert told["alive"] is False
+
+
+def test_a_stream_ends_when_who_looks_is_signed_out_for_good(anna, runs, monkeypatch):
+    from bench.panel.access.store import Access
+    from bench.panel.settings import STATE
+
+    async def events():
+        yield b"event: state\ndata: {}\n\n"
+        Access(runs / STATE).revoke("anna")
+        yield b"event: state\ndata: secret\n\n"
+
+    followers = type(anna.client.app.state.panel.followers)
+    monkeypatch.setattr(followers, "stream", lambda self, folder: events())
+    assert anna.get("/runs/one/stream").text == "event: state\ndata: {}\n\n"

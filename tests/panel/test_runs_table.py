@@ -1,0 +1,147 @@
+"""The table of runs: what stands in it, what is looked for, and that nothing outside the folder is in it."""
+
+import json
+import re
+import shutil
+
+import pytest
+
+from bench.panel.access.people import Refusal
+from bench.panel.folder import RunsFolder, read_page
+from bench.panel.table import UNREAD, RunsTable, state_at_the_end
+from bench.run.folder import Run
+from tests.support.pages import ROOT
+from tests.support.panel_client import Browser
+
+RECORDS = ROOT / "tests" / "data" / "records"
+
+
+@pytest.fixture
+def runs(tmp_path):
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    for name in ("finished", "interrupted"):
+        shutil.copytree(RECORDS / name, folder / name)
+    return folder
+
+
+def names(reply):
+    return re.findall(r'<a class="name" href="/runs/([^/"]+)/">', reply.text)
+
+
+def test_each_run_has_its_state_and_how_to_go_on(runs):
+    rows = {row.name: row for row in RunsTable(RunsFolder(runs)).rows()}
+    assert (rows["finished"].state, rows["finished"].to_go_on) == ("finished", "")
+    assert rows["interrupted"].to_go_on == "bench resume interrupted"
+    text = Browser(runs, "anna").get("/").text
+    assert ">resume</a>" in text
+    assert "2 of 2 runs" in text
+
+
+def test_runs_are_looked_for_by_words_and_columns(runs):
+    browser = Browser(runs, "anna")
+    assert names(browser.get("/?search=INTERR")) == ["interrupted"]
+    assert names(browser.get("/?state=finished")) == ["finished"]
+    assert names(browser.get("/?search=interr&state=finished")) == []
+    assert "No run fits" in browser.get("/?search=nowhere").text
+
+
+@pytest.mark.parametrize(
+    "query", ["page=99999", "page=-1", "page=%00", "search=%1b%3Cscript%3E", "state=%FF&page=1e9"]
+)
+def test_what_is_looked_for_is_text(runs, query):
+    reply = Browser(runs, "anna").get(f"/?{query}")
+    assert reply.status_code == 200
+    assert "<script>" not in reply.text
+    assert "\x1b" not in reply.text
+
+
+def test_names_of_strangers_are_text(runs):
+    name = "<script>alert(1)\x1b[2J\u202e ü"
+    shutil.copytree(runs / "finished", runs / name.replace("/", ""))
+    browser = Browser(runs, "anna")
+    text = browser.get("/").text
+    assert "<script>alert" not in text
+    assert "\x1b" not in text
+    assert "\u202e" not in text
+    (link,) = [one for one in names(browser.get("/")) if "alert" in one]
+    assert browser.get(f"/runs/{link}/verdict").status_code == 200
+
+
+def test_a_damaged_run_is_a_row_with_the_reason(runs):
+    (runs / "finished" / "run.json").write_text("{")
+    shutil.copytree(runs / "interrupted", runs / "broken")
+    (runs / "broken" / "events.jsonl").write_text("rubbish\n")
+    rows = {row.name: row for row in RunsTable(RunsFolder(runs)).rows()}
+    assert (rows["finished"].state, rows["broken"].state) == ("damaged", "damaged")
+    assert "not JSON" in rows["finished"].detail
+    assert Browser(runs, "anna").get("/").status_code == 200
+
+
+def test_a_run_is_read_again_when_its_files_are_others_and_not_else(runs, monkeypatch):
+    table = RunsTable(RunsFolder(runs))
+    table.rows()
+    read = []
+    monkeypatch.setattr(RunsTable, "_read", lambda self, run, stamp: read.append(run.name))
+    monkeypatch.setattr("bench.panel.table._now", lambda folder, row: row)
+    assert len(table.rows()) == 2
+    assert read == []
+    (runs / "finished" / "verify.json").write_text(json.dumps({"passed": False}))
+    with pytest.raises(AttributeError):
+        table.rows()
+    assert read == ["finished"]
+
+
+def test_a_page_does_not_wait_for_thousands_of_runs_to_be_read(runs):
+    class Late:
+        times = 0
+
+        def now_s(self):
+            self.times += 1
+            return float(self.times)
+
+        def sleep(self, duration_s):
+            raise AssertionError
+
+    assert {row.state for row in RunsTable(RunsFolder(runs), Late()).rows()} == {UNREAD}
+
+
+def test_the_end_of_a_long_record_tells_whether_it_is_paused(tmp_path):
+    record = tmp_path / "events.jsonl"
+    lines = [{"type": "run_started"}, {"type": "run_paused"}, {"type": "x", "text": '"run_continued"'}]
+    record.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert state_at_the_end(tmp_path) == "paused"
+    record.write_text("y" * 200_000 + "\n" + json.dumps({"type": "step_done"}) + "\n")
+    assert state_at_the_end(tmp_path) == "running"
+
+
+# --- nothing outside the folder -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["..", ".", "", ".panel", "../x", "x/../y", "a\\b", "\0", "n" * 5000, "nobody"]
+)
+def test_a_run_is_a_folder_right_in_the_folder(runs, name):
+    with pytest.raises(Refusal) as refused:
+        RunsFolder(runs).run(name)
+    assert refused.value.status == 404
+
+
+def test_a_link_is_no_run(runs, tmp_path):
+    shutil.copytree(runs / "finished", tmp_path / "outside")
+    (runs / "linked").symlink_to(tmp_path / "outside")
+    assert {run.name for run in RunsFolder(runs).runs()} == {"finished", "interrupted"}
+    with pytest.raises(Refusal):
+        RunsFolder(runs).run("linked")
+
+
+def test_a_page_that_is_a_link_or_no_file_is_not_sent(runs, tmp_path):
+    (tmp_path / "secret").write_text("secret")
+    run = Run(runs / "finished")
+    (run.folder / "report.html").unlink(missing_ok=True)
+    (run.folder / "report.html").symlink_to(tmp_path / "secret")
+    (run.folder / "diagnose.html").mkdir()
+    for name in ("report.html", "diagnose.html", "../finished/run.json\0"):
+        with pytest.raises(Refusal):
+            read_page(run, name)
+    assert Browser(runs, "anna").get("/runs/finished/report").status_code == 404

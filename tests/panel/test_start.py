@@ -1,0 +1,187 @@
+"""Starting a run: only what may be chosen, check and dry run before, and what is started is what was checked."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench.panel.access.people import Refusal, Role
+from bench.panel.launching import trying
+from bench.panel.launching.choices import choices, chosen_bench
+from bench.panel.launching.detached import start, wait_until
+from bench.panel.launching.wish import MOST_KEPT, Found, Wanted, Wishes, WishFolder
+from bench.panel.panel import Panel
+from bench.panel.settings import Settings
+from tests.support.panel_client import Browser
+
+CHOSEN = {"procedure": "quick", "bench": "paper-stand"}
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    (tmp_path / "runs").mkdir()
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """What was started instead of processes."""
+    calls = []
+    monkeypatch.setattr("bench.panel.pages.start.start", lambda *given, **more: calls.append((given, more)))
+    return calls
+
+
+def begun(anna, **sent):
+    reply = anna.post("/start", **{**CHOSEN, **sent})
+    assert reply.status_code == 303, reply.text
+    return anna.client.app.state.panel.wishes.of(reply.headers["location"].rpartition("/")[2])
+
+
+def test_only_shipped_files_and_those_of_the_working_folder_are_chosen(runs, tmp_path, monkeypatch):
+    Path("mine.yaml").write_text("name: mine\ninstruments:\n")
+    Path("other.yaml").write_text("procedure: other\n")
+    Path("notes.yaml").write_text("text: 1\n")
+    assert {"mine.yaml", "paper-stand"} <= choices("config").keys()
+    assert {"other.yaml", "calibration"} <= choices("procedures").keys()
+    assert "notes.yaml" not in choices("config") | choices("procedures")
+    panel = Panel(Settings(runs))
+    for name in ("/etc/passwd", "../mine.yaml", "notes.yaml", "", "next:..", "next:none", "\0"):
+        with pytest.raises(Refusal):
+            chosen_bench(name, panel.runs)
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        {"procedure": "/etc/passwd"},
+        {"bench": "../x.yaml"},
+        {"name": "../x"},
+        {"name": "-x"},
+        {"name": "done"},
+        {"unit": "17\x1b[2J"},
+        {"operator": "x" * 101},
+        {"operator": "a\nb"},
+    ],
+)
+def test_what_cannot_be_wished_is_refused_and_nothing_started(runs, started, sent):
+    (runs / "done").mkdir()
+    reply = Browser(runs, "anna").post("/start", **{**CHOSEN, **sent})
+    assert reply.status_code in {400, 409}
+    assert started == []
+
+
+def test_a_viewer_starts_nothing(runs, started):
+    eve = Browser(runs, "eve", Role.VIEWER)
+    assert (eve.get("/start").status_code, eve.post("/start", **CHOSEN).status_code) == (403, 403)
+    assert started == []
+
+
+def test_what_check_finds_stands_on_the_page(runs, started):
+    anna = Browser(runs, "anna")
+    wish = begun(anna, unit="17-042")
+    page = anna.get(f"/start/{wish.id}").text
+    assert "data-waiting" in page
+    assert "Start on the bench" not in page
+    found = trying.checked(wish.wanted(), wish.path)
+    assert found.stage == "trying"
+    wish.tell(found)
+    assert "Being tried" in anna.get(f"/start/{wish.id}").text
+    wish.tell(Found("done", check=found.check, tried=0, said="verdict <b>"))
+    page = anna.get(f"/start/{wish.id}").text
+    assert "22 readings" not in page
+    assert "verdict &lt;b&gt;" in page
+    assert "Start on the bench" in page
+
+
+def test_files_with_mistakes_are_told_with_all_of_them(runs, started):
+    Path("bad.yaml").write_text("name: bad\ninstruments: {}\n")
+    anna = Browser(runs, "anna")
+    wish = begun(anna, bench="bad.yaml")
+    wish.tell(trying.checked(wish.wanted(), wish.path))
+    page = anna.get(f"/start/{wish.id}").text
+    assert "bad.yaml" in page
+    assert page.count("bad.yaml:") > 2
+    assert anna.post(f"/start/{wish.id}/go").status_code == 409
+
+
+@pytest.mark.parametrize("tried", [2, None, -9])
+def test_what_failed_in_the_dry_run_is_not_started(runs, started, tried):
+    anna = Browser(runs, "anna")
+    wish = begun(anna)
+    check = {"problems": [], "dry_run_refuses": [], "hints": [], "procedure": "q", "bench": "b", "steps": 1,
+             "operator_actions": 1, "expected_s": 1.0, "longest_s": 1.0}  # fmt: skip
+    wish.tell(Found("done", check=check, tried=tried))
+    assert "Start on the bench" not in anna.get(f"/start/{wish.id}").text
+    assert anna.post(f"/start/{wish.id}/go").status_code == 409
+
+
+def test_what_was_changed_since_it_was_checked_is_not_started(runs, started):
+    Path("procedures").mkdir()
+    quick = Path("procedures/quick.yaml")
+    quick.write_bytes(choices("procedures")["quick"].read_bytes())
+    anna = Browser(runs, "anna")
+    wish = begun(anna)
+    wish.tell(trying.checked(wish.wanted(), wish.path))
+    found = wish.found()
+    wish.tell(Found("done", check=found.check, tried=0))
+    quick.write_text(quick.read_text() + "\n# another\n")
+    reply = anna.post(f"/start/{wish.id}/go")
+    assert reply.status_code == 409
+    assert "changed since they were checked" in reply.text
+
+
+def test_a_wish_is_started_once(tmp_path):
+    wish = Wishes(tmp_path).new(Wanted("p", "b"))
+    wish.mark_started("one")
+    with pytest.raises(Refusal, match="started already, as one"):
+        wish.mark_started("two")
+
+
+def test_old_wishes_are_forgotten(tmp_path):
+    wishes = Wishes(tmp_path)
+    made = [wishes.new(Wanted("p", "b")).id for _ in range(MOST_KEPT + 5)]
+    kept = {folder.name for folder in tmp_path.iterdir()}
+    assert len(kept) == MOST_KEPT
+    assert made[-1] in kept
+    with pytest.raises(Refusal):
+        wishes.of("../" + made[-1])
+
+
+def test_no_more_than_two_are_tried_at_once(tmp_path):
+    wishes = Wishes(tmp_path)
+    one, two = wishes.new(Wanted("p", "b")), wishes.new(Wanted("p", "b"))
+    with one.lock(), two.lock(), pytest.raises(Refusal, match="two runs are being tried already"):
+        wishes.new(Wanted("p", "b"))
+    wishes.new(Wanted("p", "b"))
+
+
+@pytest.mark.slow
+def test_a_wish_is_checked_and_tried_by_a_process_of_its_own(runs):
+    wish = Wishes(runs.parent / "wishes").new(
+        Wanted(
+            str(choices("procedures")["quick"]), str(choices("config")["paper-stand"]), unit="17-042"
+        ).hashed()
+    )
+    process = start([str(wish.path)], wish.path / "log", program=("-m", "bench.panel.launching.trying"))
+    assert process.process.wait(120) == 0, process.last_words()
+    found = wish.found()
+    assert (found.stage, found.tried, found.startable) == ("done", 0, True)
+    assert found.result["verification"]["passed"]
+    manifest = json.loads((wish.path / "runs" / "trial" / "run.json").read_text())
+    assert manifest["unit_under_test"]["serial"] == "17-042"
+
+
+def test_a_process_that_ends_before_it_begins_says_why(tmp_path):
+    started = start([], tmp_path / "log", program=("-c", "print('no \\x1b[2J bench'); raise SystemExit(2)"))
+    with pytest.raises(Refusal, match=r"exit status 2\): no \\x1b\[2J bench"):
+        wait_until(lambda: False, started)
+
+
+def test_a_damaged_wish_is_one_to_begin_again(runs, started):
+    anna = Browser(runs, "anna")
+    wish = begun(anna)
+    (wish.path / "found.json").write_text("[]")
+    assert anna.get(f"/start/{wish.id}").status_code == 404
+    assert WishFolder(wish.path).at_work() is False

@@ -1,0 +1,52 @@
+"""A panel in the test's own process, and persons who are signed in to it."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # the client tells of a successor of what it stands on
+    from starlette.testclient import TestClient
+
+from bench.panel.access.people import Role
+from bench.panel.access.store import Access
+from bench.panel.app import make_app
+from bench.panel.settings import STATE, Settings
+
+HOME = "http://127.0.0.1:8741"
+OWN = {"origin": HOME}
+
+
+def stranger(runs: Path) -> TestClient:
+    """Return a browser of nobody."""
+    runs.mkdir(exist_ok=True)
+    return TestClient(make_app(Settings(runs)), base_url=HOME, follow_redirects=False)
+
+
+class Browser:
+    """A browser of a person who is signed in."""
+
+    def __init__(self, runs: Path, name: str, role: Role = Role.OPERATOR) -> None:
+        self.client = stranger(runs)
+        access = Access(runs / STATE)
+        self.token = access.new_token(name, role)
+        assert self.client.post("/sign-in", data={"token": self.token}, headers=OWN).status_code == 303
+        person = access.person(next(iter(self.client.cookies.values())))
+        assert person is not None
+        self.csrf = person.csrf
+
+    def get(self, path: str, **given: Any) -> Any:
+        """Look at a page."""
+        return self.client.get(path, **given)
+
+    def post(self, path: str, **sent: str) -> Any:
+        """Send a form of the panel's own."""
+        return self.client.post(path, data={"csrf": self.csrf, **sent}, headers=OWN)
+
+    def ask(self, path: str, **sent: str) -> tuple[int, dict[str, Any]]:
+        """Ask as the script does; return the status and what is answered."""
+        reply = self.client.post(path, json=sent, headers={**OWN, "x-csrf": self.csrf})
+        return reply.status_code, json.loads(reply.text)
