@@ -152,7 +152,7 @@ def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
     plain = replace(problem.model, effects=())
     without = plain.readings(block, problem.conditions, still)
     for width_g in WIDTHS_G:
-        applied = AppliedEffect(HYSTERESIS, {"size": np.full(3, WIDE_G), "width_g": np.float64(width_g)})
+        applied = AppliedEffect(HYSTERESIS, {"size": np.full(3, WIDE_G), "width_g": np.asarray(width_g)})
         moved = replace(plain, effects=(applied,)).readings(block, problem.conditions, still) - without
         yield moved[:, :, None] * np.eye(3)
 
