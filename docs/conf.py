@@ -9,6 +9,7 @@ sys.path.insert(0, str(HERE.parent))  # the generators stand beside the pages an
 
 from docs.generators import write_pages  # noqa: E402
 from docs.generators.example_certificate import write_example  # noqa: E402
+from docs.generators.panel_pictures import write_pictures  # noqa: E402
 
 project = "Calibration bench"
 author = "the authors of triaxial-bench"
@@ -35,5 +36,6 @@ html_theme_options = {"sidebar_hide_name": False, "navigation_with_keys": True}
 pygments_style = "default"
 pygments_dark_style = "monokai"
 
+write_pictures(HERE / "reference")
 write_pages(HERE / "reference")
 write_example(HERE / "reference")

@@ -102,7 +102,7 @@ def new_run(
     loaded = load_procedure(procedure_path)
     plan = loaded.expand()
     file = load_bench(bench_file_path)
-    problems = check(plan, file, dry_run=dry_run)
+    problems = check(plan, file, dry_run=dry_run and not living)
     if unit is not None and (not unit.strip() or not unit.isprintable()):
         problems = [
             *problems,

@@ -154,6 +154,12 @@ class Register:
 
     def catch_up(self) -> None:
         """Read the lines that others have added, finish what was issued. Raises `Refused` for a changed line."""
+        self.read_lines()
+        for part in self.folder.glob(f"*{_PART}"):
+            self._finish(part)
+
+    def read_lines(self) -> None:
+        """Read the lines that others have added, and touch nothing. Raises `Refused` for a changed line."""
         path = self.folder / LINES
         if (path.stat().st_size if path.exists() else 0) < self.length:
             raise Refused(f"{path}: lines were taken off its end; take it from a copy")
@@ -163,8 +169,6 @@ class Register:
                 for line in file:
                     if line.endswith(b"\n"):
                         self._take(line[:-1])
-        for part in self.folder.glob(f"*{_PART}"):
-            self._finish(part)
 
     def _take(self, line: bytes) -> None:
         where = f"{self.folder / LINES}, line {self.count + 1}"

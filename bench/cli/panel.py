@@ -44,6 +44,12 @@ def panel(
         str,
         typer.Option(metavar="URL", help="Address of a proxy with TLS before it, such as https://bench.lab."),
     ] = "",
+    laboratory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Laboratory file, whose register holds the certificates of the runs."
+        ),
+    ] = None,
     runs: RunsOption = RUNS,
 ) -> int:
     """Serve the operator's panel over a folder of runs; make the tokens of who may come in."""
@@ -57,7 +63,7 @@ def panel(
 
     if what is not None:
         return _of_people(what, name, role, runs)
-    serve(Settings(runs, host, port, address.rstrip("/")), printing.console().print)
+    serve(Settings(runs, host, port, address.rstrip("/"), laboratory), printing.console().print)
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bench.panel.access.store import Access
+from bench.panel.certificates import Certificates
 from bench.panel.folder import RunsFolder
 from bench.panel.following.stream import Followers
 from bench.panel.holding import read_holding
@@ -22,4 +23,5 @@ class Panel:
         self.wishes = Wishes(settings.runs / STATE / "wishes")
         self.diagnosing: dict[str, Started] = {}
         self.followers = Followers(lambda folder: {"control": read_holding(folder).to_json()})
+        self.certificates = Certificates(settings.laboratory)
         self.access = Access(settings.runs / STATE)

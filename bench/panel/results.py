@@ -129,7 +129,6 @@ def results_of(run: Run) -> Results:
 
     found = (told(VERIFY, _verdict), told(CALIBRATE, _calibration), told(DIAGNOSE, _diagnosis))
     there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
-    there += sorted(one.name for one in run.folder.glob("certificate*.pdf") if is_plain(one))
     return Results(*found, tuple(there), tuple(trouble))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -141,16 +141,16 @@ def open_panel(runs: Path, after: str = "/") -> str:
     return new_link(runs, after)
 
 
-def begin_panel(runs: Path, *options: str) -> Started:
-    """Begin a panel that lives on by itself, at the usual port or at a free one; it serves when this returns.
+def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0)) -> Started:
+    """Begin a panel that lives on by itself, at the first of these ports that is free; it serves when this returns.
 
     Raises `RecordError` where it does not begin.
     """
     state = private_folder(runs / STATE)
     trouble = ""
-    for port in (PORT, 0):
+    for port in ports:
         (state / SERVER).unlink(missing_ok=True)
-        started = start(["panel", f"--runs={runs.absolute()}", f"--port={port}", *options], state / OUTPUT)
+        started = start(["panel", f"--runs={runs.absolute()}", f"--port={port}"], state / OUTPUT)
         try:
             if wait_until((state / SERVER).exists, started):
                 return started

@@ -14,12 +14,17 @@ PORT: Final = 8741
 
 @dataclass(frozen=True)
 class Settings:
-    """A panel over the runs in a folder; `address` is the one that a proxy with TLS before it has, such as https://lab."""
+    """A panel over the runs in a folder.
+
+    `address` is the one that a proxy with TLS before it has, such as https://lab; `laboratory` a laboratory file,
+    whose register holds the certificates of the runs.
+    """
 
     runs: Path
     host: str = "127.0.0.1"
     port: int = PORT
     address: str = ""
+    laboratory: Path | None = None
 
     @property
     def loopback(self) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -124,7 +124,18 @@ class AskedPrompt:
 
 def asked_to_json(prompt: Prompt) -> dict[str, Any]:
     """Return what is recorded of a prompt."""
-    return asdict(prompt) | {"kind": prompt.kind.value}
+    return {
+        "id": prompt.id,
+        "kind": prompt.kind.value,
+        "text": prompt.text,
+        "default": prompt.default,
+        "unit": prompt.unit,
+        "choices": prompt.choices,
+        "minimum": prompt.minimum,
+        "maximum": prompt.maximum,
+        "action": prompt.action,
+        "picture": prompt.picture,
+    }
 
 
 def _asked(event: Event) -> AskedPrompt | None:

@@ -1,4 +1,7 @@
-"""A run on disk: inputs first, then one append-only file of events, each on the disk before the next step.
+"""A run on disk: inputs first, then one append-only file of events, all on the disk before the next step.
+
+What a step begins with, and what is asked and answered, is in the file at once, and on the disk with the event
+after it: a power cut in between leaves the record at the step before, and the run goes on from there all the same.
 
 Every line of `events.jsonl` is a JSON object that carries, in `prev`, the SHA-256 of the line before it (of
 `run.json` for the first), so that a changed or missing line is found. Everything else in the folder is
@@ -18,9 +21,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.visible import in_json
-from bench.run.events import Event
+from bench.run.events import Event, EventType
 from bench.run.history import History, read_history
 from bench.run.manifest import EVENTS, FORMAT, MANIFEST, Manifest, RecordError, sha256
+
+WITH_THE_NEXT: Final = frozenset(
+    {EventType.STEP_STARTED, EventType.ASKED, EventType.ANSWERED, EventType.ANSWER_REFUSED}
+)
+"""Events that are not waited for until they are on the disk."""
 
 Shield = Callable[[], AbstractContextManager[None]]
 
@@ -108,7 +116,10 @@ class Record:
         return self._count
 
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
-        """Write one event; it is on the disk when this returns. Raises `RecordError` (disk full, …)."""
+        """Write one event; in the file, and save for those of `WITH_THE_NEXT` on the disk, when this returns.
+
+        Raises `RecordError` (disk full, …).
+        """
         with self._shield():
             return self._append(kind, bench_s, data)
 
@@ -121,7 +132,8 @@ class Record:
         line = in_json(json.dumps(whole_event, ensure_ascii=False, allow_nan=False)).encode()
         try:
             self._write(line + b"\n")
-            os.fsync(self._file.fileno())
+            if kind not in WITH_THE_NEXT:
+                os.fsync(self._file.fileno())
         except OSError as error:
             self._cut_back()
             raise _cannot_write(self.folder, error) from error

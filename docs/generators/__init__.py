@@ -13,6 +13,7 @@ from docs.generators import (
     estimators,
     example_certificate,
     instruments,
+    panel_pictures,
     procedure_files,
     python_face,
     readings,
@@ -33,6 +34,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "estimators.md": estimators.page,
     "example-certificate.md": example_certificate.page,
     "_rooms.md": rooms.fragment,
+    "_panel.md": panel_pictures.fragment,
 }
 """By file name what makes it; names that begin with `_` are parts of other pages."""
 

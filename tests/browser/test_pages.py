@@ -25,7 +25,7 @@ def hold_at(runs, name, lines, asked):
     whole = (folder / EVENTS).read_bytes().splitlines(keepends=True)
     (folder / EVENTS).write_bytes(b"".join(whole[:lines]))
     record, _ = Record.reopen(folder, utc_now)
-    record._append("asked", 1000.0, asked)
+    record.append("asked", 1000.0, **asked)
     return record
 
 

@@ -52,7 +52,7 @@ def asking(runs):
         "choices": [],
         "action": {"do": "turn", "target_rad": 0.7853981633974483, "direction": 1, "tolerance_rad": 3e-4},
     }
-    record._append("asked", 1000.0, prompt)
+    record.append("asked", 1000.0, **prompt)
     yield folder
     record.close()
 

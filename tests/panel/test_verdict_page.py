@@ -6,10 +6,15 @@ import shutil
 
 import pytest
 
+from bench.certificate.laboratory import load_laboratory
+from bench.certificate.register import ISSUED, Entry, opened
 from bench.panel.access.people import Role
+from bench.panel.access.store import Access
+from bench.panel.app import make_app
 from bench.panel.launching.choices import NEXT
+from bench.panel.settings import STATE, Settings
 from tests.support.pages import ROOT
-from tests.support.panel_client import Browser
+from tests.support.panel_client import HOME, OWN, Browser, TestClient
 
 RECORDS = ROOT / "tests" / "data" / "records"
 
@@ -110,6 +115,34 @@ def test_a_run_without_results_says_so(anna):
     assert [
         anna.get(f"/runs/one/{name}").status_code for name in ("report", "diagnosis", "certificate/x.pdf")
     ] == [404] * 3
+
+
+def test_the_certificates_of_this_very_record_are_handed_out(runs, judged, tmp_path):
+    shutil.copytree(ROOT / "config" / "certificate", tmp_path / "lab")
+    laboratory = tmp_path / "lab" / "laboratory.yaml"
+    folder = load_laboratory(laboratory).register_folder
+    head = json.loads((judged / "calibrate.json").read_text())["record"]["head"]
+    with opened(folder) as register:
+        for number, of in (("A-1", head), ("A-2", "of another record")):
+            entry = Entry(
+                ISSUED, number, "2026-11-22T12:00:00+00:00", "A", {"run": "run", "record": {"head": of}}
+            )
+            register.issue(entry, {f"{number}.pdf": b"%PDF"})
+    token = Access(runs / STATE).new_token("ben", Role.VIEWER)
+    app = make_app(Settings(runs, laboratory=laboratory))
+    ben = TestClient(app, base_url=HOME, follow_redirects=False)
+    ben.post("/sign-in", data={"token": token}, headers=OWN)
+    page = ben.get("/runs/run/verdict").text
+    assert "Certificate A-1" in page
+    assert "A-2" not in page
+    reply = ben.get("/runs/run/certificate/A-1.pdf")
+    assert (reply.content, reply.headers["content-disposition"]) == (b"%PDF", "attachment")
+    assert ben.get("/runs/run/certificate/A-2.pdf").status_code == 404
+    assert ben.get("/runs/one/certificate/A-1.pdf").status_code == 404
+    (folder / "A-1.pdf").write_bytes(b"changed")
+    assert ben.get("/runs/run/certificate/A-1.pdf").status_code == 409
+    (folder / "register.jsonl").write_text("{}\n")
+    assert "take it from a copy" in ben.get("/runs/run/verdict").text
 
 
 def test_a_diagnosis_is_a_process_of_its_own(anna, judged, monkeypatch):

@@ -50,6 +50,8 @@ class Follower:
             chamber=bench.instruments.chamber is not None,
         )
         self._alive, self._looked_s = False, -LOOK_S
+        self._unheard = 0
+        """Up to this event nobody hears an answer any more: the program that asked is gone."""
 
     def look(self) -> bool:
         """Read what is new; say whether what is told of the run has changed. Raises `RecordError`."""
@@ -59,6 +61,8 @@ class Follower:
                 self._seen.take(event)
                 self._residuals.note(event)
                 changed = True
+        if not self._alive:
+            self._unheard = self._seen.events
         return changed
 
     def judge(self) -> bool:
@@ -68,7 +72,8 @@ class Follower:
     @property
     def prompt(self) -> AskedPrompt | None:
         """The question that stands, None where none does or nobody would hear an answer."""
-        return self._seen.prompt if self._alive else None
+        asked = self._seen.prompt
+        return asked if self._alive and asked is not None and asked.event.number > self._unheard else None
 
     @property
     def waiting(self) -> bool:
@@ -77,7 +82,9 @@ class Follower:
 
     def state(self) -> dict[str, Any]:
         """Return what is told of the run now, see `bench.panel.following.snapshot`."""
-        return snapshot(self._seen, self._about, self._time_left, alive=self._alive, now=utc_now())
+        return snapshot(
+            self._seen, self._about, self._time_left, self.prompt, alive=self._alive, now=utc_now()
+        )
 
     @property
     def points_version(self) -> tuple[int, int]:

@@ -38,6 +38,7 @@ from bench.panel.following.seen import Seen
 from bench.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
 from bench.procedure.steps import precision_in_words
 from bench.readings.reading import Reading
+from bench.run.answers import AskedPrompt
 from bench.run.events import Event
 from bench.run.log import in_words
 from bench.run.sentences import duration
@@ -66,8 +67,10 @@ class About:
     chamber: bool
 
 
-def snapshot(seen: Seen, about: About, time_left: TimeLeft, *, alive: bool, now: datetime) -> dict[str, Any]:
-    """Return what is told of a run; the keys are said above."""
+def snapshot(
+    seen: Seen, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
+) -> dict[str, Any]:
+    """Return what is told of a run, of which the question `asked` waits; the keys are said above."""
     latest = seen.latest
     return {
         "run": about.run,
@@ -87,9 +90,7 @@ def snapshot(seen: Seen, about: About, time_left: TimeLeft, *, alive: bool, now:
         "why": seen.why,
         "to_do": [f"{name}: {what}" for name, what in seen.left_safe.items()],
         "doing": _doing(seen, alive=alive),
-        "prompt": None
-        if seen.prompt is None or not alive
-        else prompt_of(seen.prompt, seen, about.installations),
+        "prompt": None if asked is None else prompt_of(asked, seen, about.installations),
         "refused": None if seen.refused is None else _answer(seen.refused),
         "answered": None if seen.answered is None else _answer(seen.answered),
         "where": _where(seen, time_left),
@@ -292,6 +293,6 @@ def _line(event: Event, seen: Seen) -> dict[str, Any]:
         "n": event.number,
         "time": event.time,
         "words": words.replace("_", " ") if words == event.type else words,
-        "by": by,
+        "by": "" if event.data.get("by") and str(event.data["by"]) in words else by,
         "kind": event.type,
     }

@@ -9,8 +9,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.api.errors import Refused
 from bench.panel.access.acting import acting, looking, panel_of
 from bench.panel.access.people import Refusal, Role
+from bench.panel.certificates import Issued
 from bench.panel.folder import read_page
 from bench.panel.launching.carrying import diagnose as begin
 from bench.panel.launching.choices import NEXT
@@ -30,12 +32,15 @@ def verdict(request: Request) -> Response:
     """Show what was found of a run."""
     run = _run(request)
     diagnosing = panel_of(request).diagnosing.get(run.name)
+    certificates, trouble = _certificates(request, run)
     return page(
         request,
         "verdict.html.j2",
         run=run,
         manifest=run.manifest,
         found=results_of(run),
+        certificates=certificates,
+        trouble=trouble,
         further=is_plain(run.folder / NEXT),
         diagnosing=diagnosing is not None and diagnosing.status is None,
         not_diagnosed=diagnosing.last_words() if diagnosing is not None and diagnosing.status == 2 else "",
@@ -55,9 +60,9 @@ def diagnosis(request: Request) -> Response:
 def certificate(request: Request) -> Response:
     """Send a certificate of a run."""
     run, name = _run(request), request.path_params["file"]
-    if name not in results_of(run).files or not name.endswith(".pdf"):
-        raise Refusal(404, f"{run.name} has no such certificate")
-    return _apart(read_page(run, name), "application/pdf")
+    content = panel_of(request).certificates.file(run, name)
+    kind = "application/pdf" if name.endswith(".pdf") else "application/xml"
+    return Response(content, media_type=kind, headers={**APART, "content-disposition": "attachment"})
 
 
 def figure(request: Request) -> Response:
@@ -79,6 +84,14 @@ async def diagnose(request: Request) -> Response:
             del panel.diagnosing[old]
         panel.diagnosing[run.name] = await run_in_threadpool(begin, run)
     return RedirectResponse(f"/runs/{quote(run.name)}/verdict", status_code=303)
+
+
+def _certificates(request: Request, run: Run) -> tuple[tuple[Issued, ...], str]:
+    """Return the certificates of a run, and why they cannot be told."""
+    try:
+        return panel_of(request).certificates.of(run), ""
+    except Refused as why:
+        return (), str(why)
 
 
 def _run(request: Request) -> Run:

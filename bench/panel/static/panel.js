@@ -82,6 +82,7 @@
       button.disabled = cut || !going || !heardIn || (wish !== "stop" && !holding());
     }
     show("wishes", going);
+    show("look-back", state.ended);
     show("controls", !state.ended || state.to_do.length > 0);
     show("resume", !state.alive && !state.ended && me.role !== "viewer");
     $("resume-button").disabled = cut;
@@ -225,14 +226,18 @@
     });
   }
   $("reasoned").addEventListener("submit", (event) => event.preventDefault());
-  $("resume-button").addEventListener("click", () => post("resume", {}));
+  $("resume-button").addEventListener("click", async () => {
+    say("The program that goes on with the run is being started …", "open");
+    if (await post("resume", {})) say("The instruments are being opened …", "open");
+  });
 
   /* --- what is shown ----------------------------------------------------------------------------------------------- */
 
   const showState = () => {
     const word = !state.alive && ["ready", "running", "paused"].includes(state.state) ? "dead" : state.state;
     const waits = state.prompt && word !== "dead";
-    const text = waits ? "waits for you" : word === "dead" ? "no program" : word;
+    const text = waits ? (holding() ? "waits for you" : "waits for an answer") : word === "dead" ? "no program" : word;
+    if (state.alive && $("message").classList.contains("open")) say("", "");
     put("state", `${waits ? "?" : MARKS[word] || "○"} ${text}`);
     $("state").className = `state ${waits ? "waiting" : word}`;
     document.title = `${state.prompt && holding() ? "● " : ""}${state.run}: ${text} – calibration bench`;
@@ -291,6 +296,8 @@
     });
     list("to-do", state.to_do, (words) => made("li", `still to do: ${words}`));
     live.dataset.events = state.events;
+    live.dataset.prompt = prompt ? prompt.id : "";
+    live.dataset.ended = state.ended;
     showControl();
     allow();
     tick();

@@ -13,6 +13,7 @@ from bench.panel.following.tail import Tail
 from bench.run.manifest import EVENTS, RecordError
 from bench.run.record import Record
 from drivers.clock import utc_now
+from sim.world.clock import VirtualClock
 
 RECORDS = Path(__file__).parents[2] / "data" / "records"
 MOMENTS = ("now",)
@@ -170,3 +171,28 @@ def test_a_record_that_cannot_be_read_is_said_to_who_looks(growing, lines):
     told = asyncio.run(look())
     assert told[-1].startswith(b"event: trouble")
     assert b"line 2" in told[-1]
+
+
+def test_a_question_of_a_program_that_is_gone_is_none_even_when_another_goes_on(growing, lines):
+    append(growing, b"".join(lines[:40]))
+    asked = {"id": "1", "kind": "confirm", "text": "Done?", "action": {"do": "answer"}}
+    clock = VirtualClock()
+    record, _ = Record.reopen(growing, utc_now)
+    record.append("asked", 1.0, **asked)
+    follower = Follower(growing, clock)
+    follower.look()
+    assert follower.prompt is not None
+    record.close()
+    clock.sleep(2.0)
+    follower.look()
+    assert follower.prompt is None
+    record, _ = Record.reopen(growing, utc_now)
+    clock.sleep(2.0)
+    follower.look()
+    assert follower.prompt is None
+    record.append("run_resumed", 2.0, step=1, instruments={})
+    record.append("asked", 2.0, **{**asked, "id": "2"})
+    follower.look()
+    assert follower.prompt is not None
+    assert follower.prompt.prompt.id == "2"
+    record.close()

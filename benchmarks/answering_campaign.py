@@ -1,0 +1,254 @@
+"""Answers runs from two places at once, well and badly, kills them at random moments, resumes each until it ends.
+
+Dry runs whose questions a person answers, each carried out by a program of its own on a terminal: at each question
+the answer is typed, or left in the run's folder, or both at once, after answers that are stale, ill-fitting or no
+line of JSON, and at random moments the program is killed (SIGKILL) and the run resumed, with a terminal or without.
+Typed angles are off their targets by some seconds, each by its own, so an answer that goes astray is seen.
+
+Every run must end with the readings of one of the same seed that nobody disturbed; no question answered twice, no
+answer used but the recorded one, none lost; a question whose answer a kill came between is put again:
+
+    python -m benchmarks.answering_campaign --runs 40 --seed 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from collections import Counter
+from pathlib import Path
+from typing import Any, Final
+
+from bench.run.answers import ANSWERS, LeftAnswer, OpenPrompt, leave_answer, understood_answer
+from bench.run.control import Who
+from bench.run.events import Event
+from bench.run.folder import Run
+from bench.run.history import parse_line, read_history
+from benchmarks.kill_campaign import PROGRAM, differences
+from drivers.angles import format_dms, parse_angle
+from drivers.interfaces import Prompt, PromptKind
+
+PROCEDURE: Final = "quick"
+PANEL: Final = Who("Ann", "operator", "panel")
+ACT_AGAIN_S: Final = 1.5
+"""What is typed while a question is being shown is none of its answers, so it is typed again."""
+ENOUGH_S: Final = 600.0
+
+
+def answer_to(prompt: Prompt) -> str:
+    """Return what is answered to a question, the same each time that it is asked."""
+    match prompt.kind:
+        case PromptKind.ANGLE:
+            off_arcsec = zlib.crc32(prompt.id.partition("#")[0].encode()) % 41 - 20
+            action: Any = prompt.action
+            angle = float(action["target_rad"]) + parse_angle(f"0 0 {abs(off_arcsec)}") * (
+                1 if off_arcsec > 0 else -1
+            )
+            return format_dms(angle)
+        case PromptKind.NUMBER:
+            shown = re.search(r"shows (\S+)\.\)", prompt.text)
+            return shown[1] if shown else "15"
+        case PromptKind.CHOOSE:
+            return prompt.choices[0]
+        case PromptKind.CONFIRM:
+            return "yes"
+
+
+class Hands:
+    """Follows the events of a run and answers its questions, from the keyboard and in the folder."""
+
+    def __init__(self, folder: Path, rng: random.Random, keyboard: int | None, *, calm: bool = False) -> None:
+        self.folder, self.rng, self.keyboard, self.calm = folder, rng, keyboard, calm
+        self.asked = OpenPrompt()
+        self.done: Counter[str] = Counter()
+        self.questions = 0
+        self._place = 0
+        self._seen, self._acted_s = "", 0.0
+        self._ids: list[str] = []
+
+    def look(self) -> None:
+        """Take in what happened, and answer what is asked."""
+        self._take_in()
+        asked = self.asked.prompt
+        if asked is None:
+            return
+        if asked.prompt.id != self._seen:
+            self._seen, self.questions = asked.prompt.id, self.questions + 1
+            self._ids.append(asked.prompt.id)
+        elif time.monotonic() - self._acted_s < ACT_AGAIN_S:
+            return
+        self._acted_s = time.monotonic()
+        self._act(asked.prompt)
+
+    def _take_in(self) -> None:
+        path = self.folder / "events.jsonl"
+        if not path.exists():
+            return
+        with path.open("rb") as file:
+            file.seek(self._place)
+            for line in file:
+                if not line.endswith(b"\n"):
+                    break
+                self._place += len(line)
+                self.asked.take(parse_line(line)[0])
+
+    def _act(self, prompt: Prompt) -> None:
+        text = answer_to(prompt)
+        if not self.calm:
+            self._disturb(prompt)
+        places = ["folder", "folder twice", "keyboard", "both"] if self.keyboard is not None else ["folder"]
+        place = "folder" if self.calm else self.rng.choice(places)
+        self.done[place] += 1
+        if place in ("keyboard", "both") and self.keyboard is not None:
+            time.sleep(self.rng.choice((0.0, 0.2, 0.8)))
+            os.write(self.keyboard, text.encode() + b"\n")
+        for _ in range({"keyboard": 0, "folder twice": 2}.get(place, 1)):
+            self._leave(prompt.id, text)
+
+    def _disturb(self, prompt: Prompt) -> None:
+        """Leave what must not count before what does."""
+        what = self.rng.choice(("nothing", "nothing", "stale", "ill-fitting", "garbage", "half"))
+        self.done[what] += 1
+        if what == "stale":
+            self._leave(self.rng.choice([*self._ids[:-1], "0001/none#1@1"]), "yes")
+        elif what == "ill-fitting":
+            self._leave(prompt.id, "nonsense")
+        elif what != "nothing":
+            with (self.folder / ANSWERS).open("ab", buffering=0) as file:
+                file.write(b"\xff{yes\n" if what == "garbage" else b'{"id": "')
+                file.write(b'x"}\n' if what == "half" else b"")
+
+    def _leave(self, prompt_id: str, text: str) -> None:
+        leave_answer(self.folder, LeftAnswer(prompt_id, text, PANEL))
+
+
+def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False) -> tuple[Run, Counter[str]]:
+    """Carry out a run to its end; return it and how often what was done."""
+    rng = random.Random(f"{seed}/{number}")  # noqa: S311 - a campaign, no secret
+    name = f"run{number}"
+    run = folder / "runs" / name
+    begin = ["run", PROCEDURE, "--dry-run", "--seed", "7", "--name", name]
+    done: Counter[str] = Counter()
+    deadline_s = time.monotonic() + ENOUGH_S
+    while True:
+        at_terminal = not calm and rng.random() < 0.7
+        master, screen = os.openpty()
+        os.set_blocking(master, False)
+        what = ["resume", name] if (run / "run.json").exists() else begin
+        process = subprocess.Popen(  # noqa: S603 - our own program
+            [*PROGRAM, *what, "--answers", "terminal" if at_terminal else "folder"],
+            cwd=folder,
+            stdin=screen,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        hands = Hands(run, rng, master if at_terminal else None, calm=calm)
+        last = kills <= 0
+        questions, late_s = rng.randrange(0, 14), rng.choice((0.0, rng.uniform(0.0, 0.3)))
+        try:
+            while process.poll() is None and time.monotonic() < deadline_s:
+                hands.look()
+                if not last and hands.questions > questions:
+                    time.sleep(late_s)
+                    break
+                time.sleep(0.005)
+                _drain(master)
+        finally:
+            process.kill()
+            process.wait()
+            os.close(master)
+            os.close(screen)
+        done += hands.done
+        if (run / "events.jsonl").exists() and read_history(run).state == "finished":
+            return Run(run), done
+        if last:
+            done["unfinished"] += 1
+            return Run(run), done
+        kills -= 1
+        done["killed"] += 1
+
+
+def _drain(master: int) -> None:
+    """Take away what the terminal echoes."""
+    try:
+        os.read(master, 4096)
+    except OSError:
+        return
+
+
+def amiss(run: Run) -> list[str]:
+    """Say what is wrong with the answers of a run by its record."""
+    wrong: list[str] = []
+    events = list(run.history.events)
+    ids = [event.data["id"] for event in events if event.type == "asked"]
+    if len(set(ids)) != len(ids):
+        wrong.append("two questions have one id")
+    answered = Counter(event.data["id"] for event in events if event.type == "answered")
+    wrong += [f"{prompt_id} was answered {times} times" for prompt_id, times in answered.items() if times > 1]
+    lines = [e.data["line"] for e in events if e.type in ("answered", "answer_refused") and "line" in e.data]
+    if lines != sorted(set(lines)):
+        wrong.append(f"a line of the answers was heard twice, or out of turn: {lines}")
+    return wrong + _astray(events)
+
+
+def _astray(events: list[Event]) -> list[str]:
+    """Say where an answer was taken that does not belong there, or one that counts was not used."""
+    wrong = []
+    asked = OpenPrompt()
+    angle_deg: float | None = None
+    for event in events:
+        stood = asked.prompt
+        asked.take(event)
+        if event.type == "answered":
+            if stood is None or stood.prompt.id != event.data["id"]:
+                wrong.append(f"event {event.number}: an answer to a question that did not stand")
+            elif event.data["answer"] != answer_to(stood.prompt):
+                wrong.append(
+                    f"event {event.number}: the answer {event.data['answer']!r} was never given to it"
+                )
+            elif stood.prompt.kind is PromptKind.ANGLE:
+                angle_deg = parse_angle(event.data["answer"]) * 57.29577951308232
+                if not understood_answer(stood.prompt, event.data["answer"]):
+                    wrong.append(f"event {event.number}: an answer that does not fit was taken")
+        elif event.type == "step_started":
+            angle_deg = None
+        elif event.type == "step_done" and "angle_deg" in event.data:
+            off_deg = (event.data["angle_deg"] - (angle_deg if angle_deg is not None else 999.0)) % 360.0
+            if min(off_deg, 360.0 - off_deg) > 1e-6:
+                wrong.append(f"event {event.number}: the head stands elsewhere than was answered")
+    return wrong
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=40)
+    parser.add_argument("--kills", type=int, default=4, help="at most, of each run")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        expected, _ = one(0, folder, seed=options.seed, kills=0, calm=True)
+        done: Counter[str] = Counter()
+        failed = [f"undisturbed: {text}" for text in amiss(expected)]
+        for number in range(1, options.runs + 1):
+            run, did = one(number, folder, seed=options.seed, kills=number % (options.kills + 1))
+            done += did
+            failed += [f"run {number}: {text}" for text in [*differences(run, expected), *amiss(run)]]
+            print(f"{number} runs, {done['killed']} kills, {len(failed)} faults", flush=True)
+        print(", ".join(f"{what}: {times}" for what, times in sorted(done.items())))
+    print(*failed, sep="\n")
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()

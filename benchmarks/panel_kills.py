@@ -1,0 +1,268 @@
+"""The panel killed (SIGKILL) at random moments while a person answers in it, and begun again.
+
+`python -m benchmarks.panel_kills --kills 50 --seed 1`. All are real processes: the program that carries out a dry
+run whose questions a person answers in the panel, the panel, and a client that answers as fast as a person might.
+After each kill: the program lives and its record is whole; who was signed in still is, and is in control; the
+question that stands on the disk stands in the panel; and no question was answered twice. At the end the program
+itself is killed: the panel says so, and goes on with the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from bench.panel.access.people import Role
+from bench.panel.access.store import Access
+from bench.panel.launching.detached import Started, start
+from bench.panel.serving import begin_panel, url_of
+from bench.panel.settings import STATE
+from bench.run.answers import open_prompt
+from bench.run.folder import Run
+from bench.run.manifest import EVENTS
+from bench.run.record import is_being_written
+
+PATIENCE_S = 120.0
+
+
+@dataclass
+class Outcome:
+    """What was found: sentences of what went wrong, and counts."""
+
+    kills: int = 0
+    runs: int = 0
+    answered: int = 0
+    refused: int = 0
+    cut: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+class Panel:
+    """A panel that is killed and begun again at the same port."""
+
+    def __init__(self, runs: Path) -> None:
+        self.runs = runs
+        self.started = begin_panel(runs, [0])
+        self.url = url_of(runs)
+
+    def kill(self) -> None:
+        """Kill it."""
+        os.kill(self.started.process.pid, signal.SIGKILL)
+        self.started.process.wait()
+
+    def again(self) -> None:
+        """Begin it again."""
+        self.started = begin_panel(self.runs, [int(self.url.rpartition(":")[2])])
+
+
+class Person:
+    """Somebody signed in once, before the first kill."""
+
+    def __init__(self, url: str, token: str) -> None:
+        self.client = httpx.Client(
+            base_url=url, headers={"origin": url, "accept": "application/json"}, timeout=20
+        )
+        self.client.post("/sign-in", data={"token": token})
+        page = self.client.get("/", headers={"accept": "text/html"}).text
+        self.client.headers["x-csrf"] = page.partition('name="csrf" content="')[2].partition('"')[0]
+
+    def state(self, run: str) -> dict[str, Any]:
+        """Return what the panel tells of a run. Raises `httpx.HTTPError` where it does not."""
+        reply = self.client.get(f"/runs/{run}/state").raise_for_status()
+        told: dict[str, Any] = reply.json()
+        return told
+
+    def post(self, run: str, what: str, **sent: str) -> int:
+        """Ask for something; return the status."""
+        return self.client.post(f"/runs/{run}/{what}", json=sent).status_code
+
+
+def answer_to(prompt: dict[str, Any]) -> str:
+    """Return what a careful person answers."""
+    if prompt["target"] is not None:
+        return str(prompt["target"])
+    if prompt["choices"] and prompt["default"] is None:
+        return str(prompt["choices"][0])
+    return (
+        "20" if prompt["kind"] == "number" and prompt["default"] is None else str(prompt["default"] or "yes")
+    )
+
+
+class Campaign:
+    """One folder of runs, one person, one panel after the other."""
+
+    def __init__(self, runs: Path, seed: int) -> None:
+        self.runs, self.random, self.outcome = runs, random.Random(seed), Outcome()  # noqa: S311 - to be repeated
+        token = Access(runs / STATE).new_token("anna", Role.OPERATOR)
+        self.panel = Panel(runs)
+        self.person = Person(self.panel.url, token)
+
+    def begin_run(self, procedure: str) -> tuple[str, Started]:
+        """Begin a run that asks in its folder, and take control of it."""
+        self.outcome.runs += 1
+        name = f"run-{self.outcome.runs}"
+        options = ["--dry-run", f"--name={name}", f"--runs={self.runs}", "--answers=folder"]
+        runner = start(["run", procedure, *options], self.runs / f"{name}.log")
+        until(lambda: (self.runs / name / EVENTS).exists() and self.person.state(name)["prompt"] is not None)
+        self.person.post(name, "control", do="take")
+        return name, runner
+
+    def kill_and_check(self, name: str, runner: Started) -> None:
+        """Answer until the panel is killed at a random moment; begin it again and look."""
+        timer = threading.Timer(self.random.uniform(0.0, 1.5), self.panel.kill)
+        timer.start()
+        while timer.is_alive():
+            self.answer_one(name)
+            time.sleep(self.random.uniform(0.0, 0.3))
+        timer.join()
+        self.outcome.kills += 1
+        if runner.status not in {None, 0, 1}:
+            self.outcome.wrong.append(
+                f"{name}: the program ended with {runner.status}: {runner.last_words()}"
+            )
+        self.panel.again()
+        self.check(name)
+
+    def answer_one(self, name: str) -> None:
+        """Answer the question that stands, if the panel is there."""
+        try:
+            prompt = self.person.state(name)["prompt"]
+            if prompt is not None:
+                status = self.person.post(name, "answer", id=prompt["id"], text=answer_to(prompt))
+                self.outcome.answered += status == 200
+                self.outcome.refused += status == 409
+                if status not in {200, 409}:
+                    self.outcome.wrong.append(f"{name}: {prompt['text']}: answered {status}")
+        except httpx.HTTPError:
+            self.outcome.cut += 1
+
+    def check(self, name: str) -> None:
+        """Look whether all is as it was."""
+        told = self.person.state(name)
+        if told["control"]["holder"] != "anna":
+            self.outcome.wrong.append(f"{name}: in control is {told['control']['holder']} after a restart")
+        history = Run(self.runs / name).history
+        if history.problems:
+            self.outcome.wrong.append(f"{name}: {history.problems}")
+        if is_being_written(self.runs / name):
+            try:
+                until(lambda: self._same_question(name), 20.0)
+            except TimeoutError:
+                self.outcome.wrong.append(f"{name}: the panel shows another question than stands")
+        self.check_answers(name)
+
+    def _same_question(self, name: str) -> bool:
+        on_disk = open_prompt(Run(self.runs / name).history)
+        shown = self.person.state(name)
+        return not shown["alive"] or (on_disk and on_disk.prompt.id) == (
+            shown["prompt"] and shown["prompt"]["id"]
+        )
+
+    def check_answers(self, name: str) -> None:
+        """Look whether a question was answered twice, or unasked."""
+        asked: set[str] = set()
+        answered: set[str] = set()
+        for event in Run(self.runs / name).history.events:
+            if event.type == "asked":
+                asked.add(event.data["id"])
+            elif event.type == "answered":
+                if event.data["id"] in answered or event.data["id"] not in asked:
+                    self.outcome.wrong.append(f"{name}: {event.data['id']} was answered twice, or unasked")
+                answered.add(event.data["id"])
+
+    def finish(self, name: str, runner: Started) -> None:
+        """Answer what is left, and look at what came of it."""
+        until_s = time.monotonic() + PATIENCE_S
+        while runner.status is None and time.monotonic() < until_s:
+            self.answer_one(name)
+            time.sleep(0.02)
+        self.check_answers(name)
+        history = Run(self.runs / name).history
+        if history.state != "finished" or history.problems or runner.status not in {0, 1}:
+            self.outcome.wrong.append(f"{name}: {history.state}, {history.problems}: {runner.last_words()}")
+
+    def kill_the_runner(self) -> None:
+        """Kill the program that carries out a run: the panel says so, and goes on with it."""
+        name, runner = self.begin_run("quick")
+        for _ in range(5):
+            self.answer_one(name)
+            time.sleep(0.2)
+        os.kill(runner.process.pid, signal.SIGKILL)
+        until(lambda: self.person.state(name)["alive"] is False)
+        status = self.person.post(name, "resume")
+        if status != 200:
+            self.outcome.wrong.append(f"{name}: resuming it was answered {status}")
+            return
+        until_s = time.monotonic() + PATIENCE_S
+        while Run(self.runs / name).history.state != "finished" and time.monotonic() < until_s:
+            self.answer_one(name)
+            time.sleep(0.02)
+        self.check_answers(name)
+        history = Run(self.runs / name).history
+        if history.state != "finished" or history.problems:
+            self.outcome.wrong.append(
+                f"{name}: after its program was killed {history.state}, {history.problems}"
+            )
+
+
+def until(true: Any, patience_s: float = PATIENCE_S) -> None:
+    """Wait until something is true. Raises `TimeoutError`."""
+    until_s = time.monotonic() + patience_s
+    while True:
+        try:
+            if true():
+                return
+        except httpx.HTTPError:
+            pass
+        if time.monotonic() > until_s:
+            raise TimeoutError
+        time.sleep(0.05)
+
+
+def campaign(runs: Path, kills: int, seed: int) -> Outcome:
+    """Kill the panel so many times; return what was found."""
+    one = Campaign(runs, seed)
+    try:
+        name, runner = one.begin_run("calibration")
+        while one.outcome.kills < kills:
+            if runner.status is not None:
+                one.finish(name, runner)
+                name, runner = one.begin_run("calibration")
+            one.kill_and_check(name, runner)
+        one.finish(name, runner)
+        one.kill_the_runner()
+    finally:
+        one.panel.kill()
+    return one.outcome
+
+
+def main() -> None:
+    """Carry it out and print what was found; exit status 1 where anything is wrong."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--kills", type=int, default=50)
+    options.add_argument("--seed", type=int, default=1)
+    asked = options.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        found = campaign(Path(folder), asked.kills, asked.seed)
+    print(
+        f"{found.kills} kills over {found.runs} runs: {found.answered} answers taken, {found.refused} refused as "
+        f"stale, {found.cut} requests cut off"
+    )
+    for sentence in found.wrong[:20]:
+        print(f"WRONG {sentence}")
+    print(f"{len(found.wrong)} found wrong")
+    raise SystemExit(1 if found.wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""A whole calibration by answers typed in a browser: readings and result are those of the same answers at a
+terminal."""
+
+import json
+
+import pytest
+
+from tests.support.browser_runs import Begun, answer_on, prompt_of, typed_for
+
+NOT_OF_THE_RUN = {"time", "prev", "by", "role", "where", "line", "n", "id"}
+
+
+@pytest.fixture
+def begin(panel):
+    begun = []
+
+    def start(*given, **options):
+        begun.append(Begun(panel.runs, *given, **options))
+        return begun[-1]
+
+    yield start
+    for run in begun:
+        run.close()
+
+
+def readings(run):
+    return [event["reading"] for event in run.events() if "reading" in event]
+
+
+def test_answers_typed_in_a_browser_are_worth_those_of_the_terminal(visit, panel, begin):
+    run = begin("browser", "quick", "folder")
+    run.wait_for_events()
+    page = visit("/runs/browser/", viewport={"width": 1280, "height": 900})
+    page.click("text=Take control")
+    typed, asked_id = [], ""
+    while asked_id := prompt_of(page, asked_id):
+        asked = run.of_type("asked")[-1]
+        assert asked["id"] == asked_id
+        typed.append(typed_for(asked, len(typed)))
+        answer_on(page, typed[-1])
+    assert run.ended()[0] == 0
+    page.wait_for_selector("text=The run is finished.")
+
+    terminal = begin("terminal", "quick", "terminal")
+    for line in typed:
+        terminal.type(line)
+    assert terminal.ended()[0] == 0
+    assert len(readings(run)) == 22
+    assert readings(run) == readings(terminal)
+    for file in ("calibrate.json", "verify.json"):
+        one, two = (
+            json.loads((panel.runs / name / file).read_text("utf-8")) for name in ("browser", "terminal")
+        )
+        assert one.get("coefficients") == two.get("coefficients")
+        assert one.get("points") == two.get("points")
+    answered = run.of_type("answered")
+    assert {(event["by"], event["role"], event["where"]) for event in answered} == {
+        ("anna", "operator", "panel")
+    }
+    assert [event["answer"] for event in answered] == typed
+    assert {event["where"] for event in terminal.of_type("answered")} == {"terminal"}
+
+    page.click("text=Verdict, report")
+    page.wait_for_selector("text=worst |Δg|")
+    worst = max(
+        json.loads((panel.runs / "browser" / "verify.json").read_text("utf-8"))["points"],
+        key=lambda p: abs(p["delta_g"]),
+    )
+    assert f"worst |Δg| = {abs(worst['delta_g']) * 1e6:.0f} " in page.inner_text("main")
+
+
+def test_an_angle_is_checked_as_it_is_typed_and_nothing_jumps(visit, panel, begin):
+    run = begin("typed", "quick", "folder")
+    run.wait_for_events()
+    page = visit("/runs/typed/", viewport={"width": 1280, "height": 900})
+    page.click("text=Take control")
+    asked_id = ""
+    while (asked_id := prompt_of(page, asked_id)) and not page.is_visible("#target"):
+        answer_on(page, typed_for(run.of_type("asked")[-1], 0))
+    # the keyboard alone suffices: what is typed goes into the field without a click
+    assert page.evaluate("document.activeElement.id") == "typed"
+    before = page.evaluate("[scrollY, document.getElementById('typed').getBoundingClientRect().top]")
+    page.keyboard.type("1 0 0")
+    page.wait_for_selector("#checked.bad")
+    assert "degree" in page.inner_text("#checked")
+    assert page.evaluate("document.activeElement.id") == "typed"
+    page.keyboard.press("Control+A")
+    page.keyboard.type("0 0 5")
+    page.wait_for_selector("#checked.good")
+    assert "0° 00′ 05.0″" in page.inner_text("#checked")
+    assert page.evaluate("[scrollY, document.getElementById('typed').getBoundingClientRect().top]") == before
+    page.keyboard.press("Control+A")
+    page.keyboard.press("Delete")
+    page.keyboard.press("Enter")  # the bench file has no default here: Enter alone says nothing
+    page.wait_for_selector("#checked.bad")
+    assert run.of_type("answered")[-1]["answer"] != ""
+    page.keyboard.type("0 0 5")
+    page.keyboard.press("Enter")
+    prompt_of(page, asked_id)
+    assert run.of_type("answered")[-1]["answer"] == "0 0 5"
+    assert page.evaluate("document.activeElement.id") == "typed"
+    assert page.input_value("#typed") == ""

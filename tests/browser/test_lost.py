@@ -1,0 +1,94 @@
+"""What is lost is said loudly, and comes back: the panel's server killed, the program that carries out the
+run killed."""
+
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import closing
+
+import pytest
+
+from bench.panel.access.people import Role
+from bench.run.record import is_being_written
+from tests.support.browser_runs import PROGRAM, Begun, answer_on, prompt_of, typed_for, until
+
+WIDE = {"width": 1280, "height": 900}
+
+
+def served_apart(runs, port):
+    """Serve the panel in a process of its own."""
+    command = ["panel", "--runs", str(runs), "--port", str(port)]
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [sys.executable, "-c", PROGRAM, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+
+    def listens():
+        with closing(socket.socket()) as one:
+            return one.connect_ex(("127.0.0.1", port)) == 0
+
+    until(listens)
+    return process
+
+
+@pytest.fixture
+def run(panel):
+    begun = Begun(panel.runs, "lost", "quick", "folder")
+    begun.wait_for_events()
+    yield begun
+    begun.close()
+
+
+def test_a_killed_panel_is_told_loudly_and_the_question_is_there_again(chromium, panel, run):
+    with closing(socket.socket()) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    token = panel.token("anna", Role.OPERATOR)
+    apart = served_apart(panel.runs, port)
+    context = chromium.new_context(viewport=WIDE)
+    try:
+        page = context.new_page()
+        page.goto(f"http://127.0.0.1:{port}/sign-in")
+        page.fill("#token", token)
+        page.click("main button[type=submit]")
+        page.goto(f"http://127.0.0.1:{port}/runs/lost/")
+        page.click("text=Take control")
+        asked = prompt_of(page, "")
+        assert not page.is_visible("#lost")
+        apart.kill()
+        apart.wait()
+        page.wait_for_selector("#lost", state="visible")
+        assert "No connection to the panel" in page.inner_text("#lost")
+        assert "not connected" in page.inner_text("#age")
+        assert page.locator("#buttons button:enabled, #wishes button:enabled").count() == 0
+        assert run.process.poll() is None
+        apart = served_apart(panel.runs, port)
+        page.wait_for_selector("#lost", state="hidden")
+        assert page.get_attribute("#live", "data-prompt") == asked
+        assert "You are in control" in page.inner_text("#who")
+        answer_on(page, typed_for(run.of_type("asked")[-1], 0))
+        prompt_of(page, asked)
+        assert [event["by"] for event in run.of_type("answered")] == ["anna"]
+    finally:
+        context.close()
+        apart.kill()
+        apart.wait()
+
+
+def test_a_killed_run_is_told_and_gone_on_with_by_a_button(visit, run):
+    page = visit("/runs/lost/", viewport=WIDE)
+    page.click("text=Take control")
+    asked = prompt_of(page, "")
+    answer_on(page, "yes")
+    prompt_of(page, asked)
+    run.process.send_signal(signal.SIGKILL)
+    run.process.communicate()
+    page.wait_for_selector("text=No program carries this run out")
+    assert page.locator("#wishes button:enabled").count() == 0
+    assert not page.is_visible("#answer")
+    page.click("text=Go on with this run")
+    prompt_of(page, "")
+    assert len(run.of_type("run_resumed")) == 1
+    page.click("text=Stop")
+    page.wait_for_selector("text=interrupted")
+    until(lambda: not is_being_written(run.folder))

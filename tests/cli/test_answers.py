@@ -1,0 +1,128 @@
+"""Dry runs whose questions a person answers: at the terminal or in the run's folder, the readings are the same."""
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from bench.run import asking
+from bench.run.control import RunControl, Who, leave_wish
+from bench.run.folder import Run
+from bench.run.states import Wish
+from benchmarks.answering_campaign import Hands, amiss, answer_to, one
+from benchmarks.kill_campaign import differences
+
+POINTS = """\
+procedure: points
+title: Three settings on one mounting
+reading: {samples: 3, nplc: 1, settle: 2 s}
+steps:
+  - prompt: {text: "Which cable is it?", kind: choose, choices: [long, short]}
+  - installation: {label: 1, steps: [turn: {angles: [0 deg, 45 deg, 90 deg]}]}
+"""
+RUN = ("run", "points.yaml", "--dry-run", "--seed", "3")
+
+
+@pytest.fixture
+def points(bench, monkeypatch):
+    """Return what carries out a run answered in its folder, and returns it with the output of the command."""
+    Path("points.yaml").write_text(POINTS)
+    monkeypatch.setattr(asking, "LISTEN_S", 0.002)
+
+    def answered(name, *arguments, hands=None):
+        hands = hands or Hands(Path("runs") / name, None, None, calm=True)
+        over = threading.Event()
+
+        def answer():
+            while not over.wait(0.002):
+                hands.look()
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            said = bench(*arguments)
+        finally:
+            over.set()
+            thread.join()
+        return Run(Path("runs") / name), said
+
+    return answered
+
+
+def test_typed_or_left_in_the_folder_the_same_answers_make_the_same_readings(points, bench):
+    run, (status, out, err) = points("away", *RUN, "--name", "away", "--answers", "folder")
+    assert (status, err) == (0, "")
+    assert "answered in the panel by Ann: long" in out
+    typed = [event.data["answer"] for event in run.history.events if event.type == "answered"]
+    lines = "".join(f"{line}\n" for line in typed)
+    assert bench(*RUN, "--name", "here", "--answers", "terminal", stdin=lines)[0] == 0
+    here = Run(Path("runs/here"))
+    assert differences(here, run) == []
+    assert [event.type for event in here.history.events] == [event.type for event in run.history.events]
+    assert amiss(run) == amiss(here) == []
+    assert {e.data["where"] for e in here.history.events if e.type == "answered"} == {"terminal"}
+
+
+def test_a_typed_angle_is_where_the_simulated_head_stands_and_a_wrong_one_is_refused(points):
+    class Careless(Hands):
+        def _act(self, prompt):
+            if prompt.kind == "angle" and not self.done[prompt.id]:
+                self.done[prompt.id] += 1
+                self._leave(prompt.id, "12 34 56")
+            self._leave(prompt.id, answer_to(prompt) if "1.1.3" not in prompt.id else "90 0 25")
+
+    hands = Careless(Path("runs/one"), None, None)
+    run, (status, _, _) = points("one", *RUN, "--name", "one", "--answers", "folder", hands=hands)
+    assert status == 0
+    refused = [event.data["why"] for event in run.history.events if event.type == "answer_refused"]
+    assert len(refused) == 3
+    assert "12°34′56″ is" in refused[0]
+    readings = run.readings()
+    assert readings.angle_rad[2] == pytest.approx(1.5707963 + 25 * 4.848e-6, abs=1e-7)
+    exact, _ = points("two", *RUN, "--name", "two", "--answers", "folder")
+    moved_v = readings.signal[2] - exact.readings().signal[2]
+    assert max(abs(moved_v)) > 20e-6  # of about 2 V/g, by 25″ and as much again as the other was off
+
+
+def test_a_run_that_was_stopped_in_the_panel_goes_on_with_a_living_person(points):
+    class Stopping(Hands):
+        def _act(self, prompt):
+            if "1.1.2" in prompt.id:
+                leave_wish(self.folder, RunControl(Wish.STOP, "tea", who=Who("Eve", "viewer", "panel")))
+            else:
+                super()._act(prompt)
+
+    hands = Stopping(Path("runs/one"), None, None, calm=True)
+    run, (status, out, err) = points("one", *RUN, "--name", "one", "--answers", "folder", hands=hands)
+    assert status == 2
+    assert "stopped in the panel by Eve" in out
+    assert "go on with 'bench resume one'" in err
+    assert run.history.events[-1].data == {"reason": "tea", "by": "Eve", "role": "viewer", "where": "panel"}
+    run, (status, _, _) = points("one", "resume", "one", "--answers", "folder")
+    assert status == 0
+    whole, _ = points("whole", *RUN, "--name", "whole", "--answers", "folder")
+    assert differences(run, whole) == []
+
+
+def test_a_place_that_is_none_is_refused(bench, points):
+    assert "--answers mars" in bench(*RUN, "--answers", "mars")[2]
+    assert "--follow asks at the terminal" in bench(*RUN, "--answers", "folder", "--follow")[2]
+
+
+def test_show_and_log_tell_who_answered_what(points, bench):
+    points("one", *RUN, "--name", "one", "--answers", "folder")
+    status, out, _ = bench("show", "one")
+    assert status == 0
+    assert "asked: Which cable is it?" in out
+    assert "answered in the panel by Ann: long" in out
+    assert "answered in the panel by Ann: long" in Path("runs/one/run.log").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 2])
+def test_answers_from_two_places_and_kills_change_nothing(tmp_path, number):
+    expected, _ = one(0, tmp_path, seed=5, kills=0, calm=True)
+    run, done = one(number, tmp_path, seed=5, kills=2)
+    assert done["killed"] == 2
+    assert differences(run, expected) == []
+    assert amiss(run) == []

@@ -1,0 +1,111 @@
+"""Runs that a person answers in a browser or at a terminal: begun as programs of their own, answered step by
+step."""
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from bench.run.manifest import EVENTS
+
+PROGRAM = "from bench.cli.program import main; main()"
+PATIENCE_S = 60.0
+
+
+class Begun:
+    """A run that a program of its own carries out, its questions answered in the run's folder or at its
+    terminal."""
+
+    def __init__(self, runs: Path, name: str, procedure: str, answers: str | None, seed: int = 3) -> None:
+        self.folder = runs / name
+        self.name = name
+        command = ["run", procedure, "--dry-run", "--seed", str(seed), "--name", name, "--runs", str(runs)]
+        self.process = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-c", PROGRAM, *command, *([] if answers is None else ["--answers", answers])],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, "COLUMNS": "200"},
+        )
+
+    def wait_for_events(self) -> None:
+        """Wait until the record has begun."""
+        until(lambda: (self.folder / EVENTS).exists() and (self.folder / EVENTS).stat().st_size > 0)
+
+    def type(self, line: str) -> None:
+        """Type a line at the terminal."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def ended(self) -> tuple[int, str]:
+        """Wait for the end; return the exit status and all that was printed."""
+        said, _ = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, said
+
+    def events(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in (self.folder / EVENTS).read_text("utf-8").splitlines()]
+
+    def of_type(self, kind: str) -> list[dict[str, Any]]:
+        return [event for event in self.events() if event["type"] == kind]
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+
+
+def until(holds: Any, patience_s: float = PATIENCE_S) -> None:
+    """Wait for what another program does."""
+    end_s = time.monotonic() + patience_s
+    while not holds():
+        if time.monotonic() > end_s:
+            raise AssertionError("it did not come about")
+        time.sleep(0.02)
+
+
+def typed_for(asked: dict[str, Any], turn: int) -> str:
+    """Return what a person types to a question: of an angle what the scale shows, a few seconds off, written
+    in many ways."""
+    action = asked["action"]
+    match action["do"]:
+        case "turn":
+            arcsec = round(math.degrees(action["target_rad"]) * 3600.0) % 1296000 + (turn * 7) % 20
+            degrees, rest = divmod(arcsec, 3600)
+            minutes, seconds = divmod(rest, 60)
+            ways = (
+                f"{degrees} {minutes} {seconds}",
+                f"{degrees}°{minutes:02d}′{seconds:02d}″",
+                f"{degrees}:{minutes}:{seconds}",
+            )
+            return ways[turn % 3]
+        case "read_temperature":
+            found = re.search(r"it shows ([-+]?\d+(?:\.\d+)?)", asked["text"])
+            assert found is not None
+            return found[1]
+    return "yes"
+
+
+def prompt_of(page: Any, before: str) -> str:
+    """Return the id of the question that the page shows after another, empty where the run has ended."""
+    page.wait_for_function(
+        "before => { const live = document.getElementById('live').dataset;"
+        " return live.ended === 'true' || (live.prompt && live.prompt !== before) }",
+        arg=before,
+    )
+    return str(page.get_attribute("#live", "data-prompt"))
+
+
+def answer_on(page: Any, text: str) -> None:
+    """Answer the question that the page shows, as a person does: by its button, or by keys and Enter."""
+    if page.is_visible("#typed"):
+        page.fill("#typed", text)
+        page.press("#typed", "Enter")
+    else:
+        page.click(f"#buttons button >> text={'Yes' if text == 'yes' else text}")
