@@ -228,7 +228,9 @@ def register(
 
 @GROUP.command(epilog="Example: bench certificate read 2026-0007.xml --out coefficients.json")
 def read(
-    file: Annotated[Path, typer.Argument(help="Digital calibration certificate (XML), anybody's.")],
+    file: Annotated[
+        Path, typer.Argument(help="Digital calibration certificate, anybody's: XML, or the PDF that has it.")
+    ],
     out: Annotated[
         Path | None,
         typer.Option(
