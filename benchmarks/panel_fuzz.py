@@ -174,7 +174,10 @@ async def send(app: Any, request: Request) -> tuple[int, bytes]:
 
 async def fuzz(place: Place, count: int, seed: int) -> Outcome:
     """Send `count` requests and return what became of them."""
-    outcome, requests = Outcome(), Requests(seed, place.actors, [run.name for run in place.runs.iterdir()])
+    outcome, requests = (
+        Outcome(),
+        Requests(seed, place.actors, sorted(run.name for run in place.runs.iterdir())),
+    )
     before, quarter = place.tree(), 0
     tracemalloc.start()
     with mock.patch(
