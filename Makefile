@@ -53,7 +53,7 @@ docs: $(VENV)/.documented
 	$(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 
 $(VENV)/.documented: $(STAMP)
-	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs]'
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs,browser]'
 	touch $@
 
 # About half an hour on two cores, after which docs/diagnosis.md has its tables; TRIAL=--short takes a few minutes.

@@ -8,6 +8,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))  # the generators stand beside the pages and are installed nowhere
 
 from docs.generators import write_pages  # noqa: E402
+from docs.generators.panel_pictures import write_pictures  # noqa: E402
 
 project = "Calibration bench"
 author = "the authors of triaxial-bench"
@@ -34,4 +35,5 @@ html_theme_options = {"sidebar_hide_name": False, "navigation_with_keys": True}
 pygments_style = "default"
 pygments_dark_style = "monokai"
 
+write_pictures(HERE / "reference")
 write_pages(HERE / "reference")

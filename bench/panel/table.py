@@ -64,7 +64,7 @@ class RunsTable:
         self._folder = folder
         self._clock = clock or SystemClock()
         self._digests = Digests(folder.path)
-        self._lock = threading.Lock()
+        self._reading = threading.Lock()
         self._kept: dict[str, tuple[Stamp, Row]] = {}
 
     def rows(self) -> list[Row]:
@@ -77,13 +77,13 @@ class RunsTable:
             if kept is not None and kept[0] == stamp:
                 found.append(kept[1])
             elif self._clock.now_s() < until_s:
-                found.append(self._read(run, stamp))
+                found.append(self._read(run, stamp, wait=False))
             else:
                 found.append(_of_manifest(run))
         there = {row.name for row in found}
-        with self._lock:
-            for name in set(self._kept) - there:
-                del self._kept[name]
+        for name in list(self._kept):
+            if name not in there:
+                self._kept.pop(name, None)
         return sorted(
             (_now(self._folder, row) for row in found), key=lambda r: (r.created, r.name), reverse=True
         )
@@ -91,16 +91,23 @@ class RunsTable:
     def read_all(self) -> None:
         """Read every run once, and keep what was read for the next time."""
         for run in self._folder.runs():
-            self._read(run, _stamp(run.folder))
-        with self._lock:
+            self._read(run, _stamp(run.folder), wait=True)
+        with self._reading:
             self._digests.save()
 
-    def _read(self, run: Run, stamp: Stamp) -> Row:
-        """Read a run. One that is being carried out is told by the end of its record, which may be a long one."""
+    def _read(self, run: Run, stamp: Stamp, *, wait: bool) -> Row:
+        """Read a run, unless others are being read and nobody waits for that.
+
+        One that is being carried out is told by the end of its record, which may be a long one.
+        """
         if is_being_written(run.folder):
             return replace(_of_manifest(run), state=state_at_the_end(run.folder))
-        with self._lock:
+        if not self._reading.acquire(blocking=wait):
+            return _of_manifest(run)
+        try:
             summary = run_summary(run, self._digests.of)
+        finally:
+            self._reading.release()
         state, _, detail = str(summary["state"]).partition(": ")
         row = replace(
             _of_manifest(run),
@@ -109,8 +116,7 @@ class RunsTable:
             verdict=str(summary["verdict"] or ""),
             to_go_on=str(summary["to_go_on"]),
         )
-        with self._lock:
-            self._kept[run.name] = (stamp, row)
+        self._kept[run.name] = (stamp, row)
         return row
 
 

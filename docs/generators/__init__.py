@@ -12,6 +12,7 @@ from docs.generators import (
     effects,
     estimators,
     instruments,
+    panel_pictures,
     procedure_files,
     python_face,
     readings,
@@ -31,6 +32,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "instruments.md": instruments.page,
     "estimators.md": estimators.page,
     "_rooms.md": rooms.fragment,
+    "_panel.md": panel_pictures.fragment,
 }
 """By file name what makes it; names that begin with `_` are parts of other pages."""
 

@@ -1,22 +1,15 @@
 """A panel that is served, and the system's Chromium that looks at it. `make test-browser` runs what stands here."""
 
-import contextlib
 import shutil
-import socket
-import threading
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bench.panel.access.people import Role
-from bench.panel.access.store import Access
-from bench.panel.app import make_app
-from bench.panel.settings import STATE, Settings
 from tests.support.browsers import find_chromium, what_is_missing
+from tests.support.served_panel import ServedPanel, served
 
 HERE = Path(__file__).parent
 RECORDS = HERE.parent / "data" / "records"
@@ -48,46 +41,6 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
-@dataclass
-class ServedPanel:
-    """A panel that is served at `url` over the folder `runs`, in a thread of the tests."""
-
-    runs: Path
-    port: int
-    tokens: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
-
-    def token(self, name: str, role: Role) -> str:
-        if name not in self.tokens:
-            self.tokens[name] = Access(self.runs / STATE).new_token(name, role)
-        return self.tokens[name]
-
-
-@contextlib.contextmanager
-def served(runs: Path) -> Iterator[ServedPanel]:
-    """Serve a panel on a free port of the loopback."""
-    import uvicorn
-
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen(64)
-        port = listener.getsockname()[1]
-        config = uvicorn.Config(
-            make_app(Settings(runs, port=port)), log_level="warning", timeout_graceful_shutdown=1
-        )
-        server = uvicorn.Server(config)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
-        thread.start()
-        while not server.started:
-            time.sleep(0.01)  # a real server on a real socket
-        yield ServedPanel(runs, port)
-        server.should_exit = True
-        thread.join(10.0)
-
-
 @pytest.fixture
 def panel(tmp_path: Path) -> Iterator[ServedPanel]:
     """A panel over a folder of its own, in which a run stands that is finished."""
@@ -112,10 +65,7 @@ def visit(chromium: Any, panel: ServedPanel) -> Iterator[Visit]:
         context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(f"{panel.url}/sign-in")
-        page.fill("#token", panel.token(name, role))
-        page.click("main button[type=submit]")
-        page.wait_for_url(f"{panel.url}/")
+        panel.sign_in(page, name, role)
         page.goto(panel.url + path)
         return page
 

@@ -14,7 +14,7 @@ from bench.run.record import Record
 from drivers.clock import utc_now
 from drivers.interfaces import Prompt, PromptKind
 from tests.support.pages import ROOT
-from tests.support.panel_client import Browser
+from tests.support.panel_client import Browser, stranger
 
 RECORDS = ROOT / "tests" / "data" / "records"
 QUESTION = Prompt(
@@ -81,6 +81,24 @@ def test_a_question_that_was_answered_takes_no_second_answer(anna, runs, one, al
     assert status == 409
     assert "was answered" in told["problem"]
     assert lines(one / ANSWERS) == []
+
+
+def test_a_panel_begun_anew_knows_who_is_signed_in_who_is_in_control_and_what_is_asked(
+    anna, runs, one, alive
+):
+    anna.ask("/runs/one/control", do="take")
+    for _ in range(3):
+        cookies = dict(anna.client.cookies)
+        anna.client = stranger(runs)  # the one before leaves nothing but its files
+        anna.client.cookies.update(cookies)
+        told = anna.get("/runs/one/state").json()
+        assert (told["alive"], told["control"]["holder"], told["prompt"]["id"]) == (True, "anna", QUESTION.id)
+    assert anna.ask("/runs/one/answer", id=QUESTION.id, text="")[0] == 200
+    alive.append("answered", 0.0, id=QUESTION.id, answer="yes", by="anna", role="operator", where="panel")
+    anna.client = stranger(runs)
+    anna.client.cookies.update(cookies)
+    assert anna.ask("/runs/one/answer", id=QUESTION.id, text="yes")[0] == 409
+    assert [line["answer"] for line in lines(one / ANSWERS)] == [""]
 
 
 def test_stop_is_everybodys_and_all_else_the_holders(runs, one, alive):

@@ -82,7 +82,7 @@ def test_a_run_is_read_again_when_its_files_are_others_and_not_else(runs, monkey
     table = RunsTable(RunsFolder(runs))
     table.rows()
     read = []
-    monkeypatch.setattr(RunsTable, "_read", lambda self, run, stamp: read.append(run.name))
+    monkeypatch.setattr(RunsTable, "_read", lambda self, run, stamp, wait: read.append(run.name))
     monkeypatch.setattr("bench.panel.table._now", lambda folder, row: row)
     assert len(table.rows()) == 2
     assert read == []
@@ -104,6 +104,13 @@ def test_a_page_does_not_wait_for_thousands_of_runs_to_be_read(runs):
             raise AssertionError
 
     assert {row.state for row in RunsTable(RunsFolder(runs), Late()).rows()} == {UNREAD}
+
+
+def test_a_page_does_not_wait_while_others_are_being_read(runs):
+    table = RunsTable(RunsFolder(runs))
+    with table._reading:
+        assert {row.state for row in table.rows()} == {UNREAD}
+    assert UNREAD not in {row.state for row in table.rows()}
 
 
 def test_the_end_of_a_long_record_tells_whether_it_is_paused(tmp_path):

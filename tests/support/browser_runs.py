@@ -21,12 +21,12 @@ class Begun:
     """A run that a program of its own carries out, its questions answered in the run's folder or at its
     terminal."""
 
-    def __init__(self, runs: Path, name: str, procedure: str, answers: str, seed: int = 3) -> None:
+    def __init__(self, runs: Path, name: str, procedure: str, answers: str | None, seed: int = 3) -> None:
         self.folder = runs / name
         self.name = name
         command = ["run", procedure, "--dry-run", "--seed", str(seed), "--name", name, "--runs", str(runs)]
         self.process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-c", PROGRAM, *command, "--answers", answers],
+            [sys.executable, "-c", PROGRAM, *command, *([] if answers is None else ["--answers", answers])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -293,6 +293,6 @@ def _line(event: Event, seen: Seen) -> dict[str, Any]:
         "n": event.number,
         "time": event.time,
         "words": words.replace("_", " ") if words == event.type else words,
-        "by": by,
+        "by": "" if event.data.get("by") and str(event.data["by"]) in words else by,
         "kind": event.type,
     }

@@ -236,7 +236,7 @@
   const showState = () => {
     const word = !state.alive && ["ready", "running", "paused"].includes(state.state) ? "dead" : state.state;
     const waits = state.prompt && word !== "dead";
-    const text = waits ? "waits for you" : word === "dead" ? "no program" : word;
+    const text = waits ? (holding() ? "waits for you" : "waits for an answer") : word === "dead" ? "no program" : word;
     if (state.alive && $("message").classList.contains("open")) say("", "");
     put("state", `${waits ? "?" : MARKS[word] || "○"} ${text}`);
     $("state").className = `state ${waits ? "waiting" : word}`;

@@ -1,0 +1,64 @@
+"""A panel that is served in a thread, for browsers that look at it: in tests, for pictures, in benchmarks."""
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.panel.access.people import Role
+from bench.panel.access.store import Access
+from bench.panel.app import make_app
+from bench.panel.settings import STATE, Settings
+
+
+@dataclass
+class ServedPanel:
+    """A panel that is served at `url` over the folder `runs`, in a thread of the tests."""
+
+    runs: Path
+    port: int
+    tokens: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"http://127.0.0.1:{self.port}"
+
+    def token(self, name: str, role: Role) -> str:
+        """Return the token of a person, made at the first call."""
+        if name not in self.tokens:
+            self.tokens[name] = Access(self.runs / STATE).new_token(name, role)
+        return self.tokens[name]
+
+    def sign_in(self, page: Any, name: str = "anna", role: Role = Role.OPERATOR) -> None:
+        """Sign a person in on a page of a browser."""
+        page.goto(f"{self.url}/sign-in")
+        page.fill("#token", self.token(name, role))
+        page.click("main button[type=submit]")
+        page.wait_for_url(f"{self.url}/")
+
+
+@contextlib.contextmanager
+def served(runs: Path) -> Iterator[ServedPanel]:
+    """Serve a panel on a free port of the loopback."""
+    import uvicorn
+
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(64)
+        port = listener.getsockname()[1]
+        config = uvicorn.Config(
+            make_app(Settings(runs, port=port)), log_level="warning", timeout_graceful_shutdown=1
+        )
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)  # a real server on a real socket
+        yield ServedPanel(runs, port)
+        server.should_exit = True
+        thread.join(10.0)
