@@ -228,7 +228,9 @@ def register(
 
 @GROUP.command(epilog="Example: bench certificate read 2026-0007.xml --out coefficients.json")
 def read(
-    file: Annotated[Path, typer.Argument(help="Digital calibration certificate (XML), anybody's.")],
+    file: Annotated[
+        Path, typer.Argument(help="Digital calibration certificate, anybody's: XML, or the PDF that has it.")
+    ],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -251,8 +253,11 @@ def read(
     from bench.api.source import check_gravity
     from bench.base.units import VOLTAGE, parse_quantity
     from bench.base.whole import to_text, write_whole
-    from bench.certificate.dcc.instrument import section_of
-    from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients
+    from bench.certificate.extra import needing_packages
+
+    with needing_packages():
+        from bench.certificate.dcc.instrument import section_of
+        from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients
 
     printing.check_target(json)
     check_gravity(g)
@@ -313,8 +318,10 @@ def _desk(
         raise Refused(f"a certificate needs {', '.join(lacking)}; a draft (--draft) needs none of them")
     schemas = None
     if schema is not None:
-        from bench.certificate.dcc.schema import read_schemas
+        from bench.certificate.extra import needing_packages
 
+        with needing_packages():
+            from bench.certificate.dcc.schema import read_schemas
         schemas = read_schemas(schema)
     signatory = None
     if key is not None:

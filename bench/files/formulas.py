@@ -8,13 +8,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field
 
 from bench.base.form_mistakes import Place
-from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated, part
+from bench.base.forms import FileMistake, FileMistakes, FileModel, load_document, part, validated
 from bench.base.units import plain_unit, unit_of
 from bench.files.dimensions import dimension_mistake
 from bench.model import CATALOGUE, Effect, Parameter, Stage, Subsystem
@@ -155,7 +156,11 @@ def effects_as_written(entries: Any) -> tuple[Effect, ...]:
 
 def load_effects(path: Path) -> tuple[Effect, ...]:
     """Read a file with effects of the user's own. Raises `FileMistakes` with every mistake in it."""
-    return tuple(entry.effect() for entry in load_validated(path, EffectsFile).formulas)
+    document = load_document(path)
+    return tuple(
+        replace(entry.effect(), origin=f"{path}, line {document.line_of(('formulas', index, 'expression'))}")
+        for index, entry in enumerate(validated(document, EffectsFile).formulas)
+    )
 
 
 def effects_in(paths: Iterable[Path | str]) -> tuple[Effect, ...]:

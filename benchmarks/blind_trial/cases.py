@@ -153,13 +153,11 @@ class Answer:
 
 def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     """Make case `index` of a row, the same for the same seed, row and index."""
-    digest = hashlib.sha256(f"{seed}/{row.key}/{index}".encode()).digest()
+    digest = _digest(seed, row, index)
     rng = np.random.default_rng(list(digest))
     if row.kind in FREE:
         return _free_case(rng, digest.hex()[:12], seed, row, index)
-    run = _run(rng, row)
-    above_v = courses(rng, run) if row.kind in SUPPLIED else None
-    truths = _truths(rng, row, run, index) if above_v is None else [_of_the_supply(rng, row, run, above_v)]
+    run, truths, above_v = _hide(rng, row, index)
     mistake = (
         MISTAKES[row.kind.removeprefix("mistake:")](rng, run) if row.kind.startswith("mistake:") else None
     )
@@ -179,6 +177,24 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
     if mistake is not None:
         answer = replace(answer, place=mistake.place, accepted=mistake.names)
     return case, answer
+
+
+def hidden_in(seed: int, row: Row, index: int) -> tuple[Run, list[Truth]]:
+    """Return the run of a case and what is hidden in it."""
+    return _hide(np.random.default_rng(list(_digest(seed, row, index))), row, index)[:2]
+
+
+def _digest(seed: int, row: Row, index: int) -> bytes:
+    return hashlib.sha256(f"{seed}/{row.key}/{index}".encode()).digest()
+
+
+def _hide(rng: np.random.Generator, row: Row, index: int) -> tuple[Run, list[Truth], Floats | None]:
+    """Return the run of a case, what is hidden in it, and the course of the supply where that has a part."""
+    run = _run(rng, row)
+    if row.kind not in SUPPLIED:
+        return run, _truths(rng, row, run, index), None
+    above_v = courses(rng, run)
+    return run, [_of_the_supply(rng, row, run, above_v)], above_v
 
 
 def _free_case(rng: np.random.Generator, name: str, seed: int, row: Row, index: int) -> tuple[Case, Answer]:

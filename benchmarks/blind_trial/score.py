@@ -13,11 +13,13 @@ from scipy.stats import binomtest, chi2
 
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
 from benchmarks.blind_trial.closing import true_closing
+from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C
 from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
 from benchmarks.blind_trial.free_positions import FREE, judge_free
+from benchmarks.blind_trial.geometry import Floats
 from benchmarks.blind_trial.known import KNOWN, judge_known
 from benchmarks.blind_trial.outside_effects import WITHOUT_MEAN
-from benchmarks.blind_trial.signals import U0, K
+from benchmarks.blind_trial.reference import MODEL_COUNTS_FROM_C, coefficients_at
 from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.supply import SUPPLIED, judge_supply
 from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
@@ -263,7 +265,7 @@ def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
 
     With a name, also whether the verification points are no worse for it. Right are coefficients whose twelve
     errors together have a chi-square that chance exceeds in 1 %; counted where the true effect was named, and
-    alone. An effect of temperature moves what a bias means: left out.
+    alone. With an effect of temperature in the model they are those at the temperature from which it counts.
     """
     marks: Marks = {}
     p_after = diagnosis.get("gap", {}).get("p_after")
@@ -272,10 +274,10 @@ def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
     if diagnosis.get("delta_g") and diagnosis["delta_g"]["before"]:
         marks["Δg not worse"] = _not_worse(**diagnosis["delta_g"])
     alone = {effect["name"] for effect in diagnosis["effects"]} == set(answer.names)
-    told = "coefficients" in diagnosis and not answer.names[0].startswith("thermal")
-    if diagnosis["verdict"] == "named" and alone and told:
-        for when in ("before", "after"):
-            marks[f"coefficients right {when}"] = _coefficients_right(diagnosis["coefficients"][when])
+    if diagnosis["verdict"] == "named" and alone and "coefficients" in diagnosis:
+        for when, at_c in (("before", REFERENCE_TEMPERATURE_C), ("after", MODEL_COUNTS_FROM_C)):
+            true = coefficients_at(at_c, answer.seed, answer.row, answer.index)
+            marks[f"coefficients right {when}"] = _coefficients_right(diagnosis["coefficients"][when], true)
     return marks
 
 
@@ -287,8 +289,8 @@ def _not_worse(before: list[tuple[float, float]], after: list[tuple[float, float
 SIGNIFICANT: Final = 0.01
 
 
-def _coefficients_right(estimate: dict[str, Any]) -> bool:
-    error = np.array(estimate["value"]) - np.concatenate([K.ravel(), U0])
+def _coefficients_right(estimate: dict[str, Any], true: Floats) -> bool:
+    error = np.array(estimate["value"]) - true
     chi_square = float(error @ np.linalg.solve(np.array(estimate["covariance"]), error))
     return bool(chi2.sf(chi_square, len(error)) > SIGNIFICANT)
 

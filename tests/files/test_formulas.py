@@ -1,5 +1,7 @@
 """Files with effects of the user's own, and the model and bench files that carry them."""
 
+import re
+
 import numpy as np
 import pytest
 import yaml
@@ -9,7 +11,8 @@ from bench.files.bench.file import load_bench, load_recorded_bench
 from bench.files.formulas import effects_in, effects_text, load_effects
 from bench.files.model import load_model, write_model_file
 from bench.files.shipped import find_bench
-from bench.model import CATALOGUE, AppliedEffect, Stage
+from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, Stage
+from bench.model.effects import ExpressionError, Seen
 
 ENTRY = """\
   - name: settling
@@ -99,6 +102,18 @@ def test_all_mistakes_at_once_and_two_of_a_name(tmp_path):
     other = write(tmp_path, HEAD + ENTRY.replace("100 µg", "50 ug"), "other.yaml")
     with pytest.raises(FileMistakes, match="another formula of the name settling"):
         effects_in([write(tmp_path, HEAD + ENTRY), other])
+
+
+def test_a_formula_that_gives_no_number_is_told_with_file_and_line(tmp_path):
+    path = write(
+        tmp_path, HEAD + ENTRY.replace("exp(-travelled / turns)", "exp(-turns / travelled) / travelled")
+    )
+    (effect,) = load_effects(path)
+    conditions = Conditions.of(["1", "1"], [0.0, 1.0], time_s=[0.0, 60.0])
+    block = Block(np.diag([-2.0, -2.0, -2.0]), np.zeros(3))
+    applied = AppliedEffect(effect, {"A": np.full(3, 1e-4)})
+    with pytest.raises(ExpressionError, match=rf"^{re.escape(str(path))}, line 6: .*division by zero"):
+        applied.addition(Seen(np.ones((2, 3)), conditions, block))
 
 
 def test_a_model_file_carries_the_formula_it_rests_on(tmp_path):

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.model.block import Block
 from bench.model.conditions import Conditions
-from bench.model.effects import AppliedEffect, Parameter
+from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
 
@@ -35,6 +36,11 @@ SYMBOLS: Mapping[str, str] = {
     "mounting_roll": "alpha5",
 }
 """The paper's symbols of the stand angles (alpha5 is the one that it leaves out)."""
+
+
+AFTER_FORCE: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
+"""Effects of these stages leave the specific force as it is."""
+MOST_KEPT: Final = 3
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,7 @@ class Problem:
             nothing = np.zeros((0, 3))
             return Linearisation(nothing, np.zeros((0, 3, FIXED + len(others))), nothing)
         if self.model.effects:
-            return self._linear_with_effects(block, others)
+            return self._kept(block, others)
         force, by_angle, by_stand = self.forces(block, others)
         columns = np.zeros((len(force), 3, FIXED + len(others)))
         columns[:, :, :FIXED] = coefficient_columns(force)
@@ -217,20 +223,47 @@ class Problem:
         """The conditions once for each step of the differences, with mountings of their own."""
         return self.conditions.repeated(3 + 2 * len(self._columns))
 
+    @cached_property
+    def _last(self) -> dict[tuple[bytes, bytes], Linearisation]:
+        """The points about which the model was last made linear: fits begin and rest at the same ones."""
+        return {}
+
+    def _kept(self, block: Block, others: Floats) -> Linearisation:
+        point = block.vector.tobytes(), others.tobytes()
+        if point not in self._last:
+            self._last[point] = self._linear_with_effects(block, others)
+            if len(self._last) > MOST_KEPT:
+                del self._last[next(iter(self._last))]
+        return self._last[point]
+
     def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
         columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
         shift = 1e-3 * float(np.max(np.abs(block.K)))
+        late = [applied.effect.stage in AFTER_FORCE for applied in self.model.effects]
+        acting = replace(self.model, effects=self.effects_at(others)).specific_force(
+            self.conditions, self.stand_matrix(others), block
+        )
         for j in range(FIXED):
             step = np.zeros(FIXED)
             step[j] = shift
-            up = self.predict(Block.from_vector(block.vector + step), others)
-            down = self.predict(Block.from_vector(block.vector - step), others)
+            force = acting if all(late) else None
+            up = self._read(Block.from_vector(block.vector + step), others, force)
+            down = self._read(Block.from_vector(block.vector - step), others, force)
             columns[:, :, j] = (up - down) / (2 * shift)
         for j in range(len(others)):
             step = self.other_step(j)
-            difference = self.predict(block, others + step) - self.predict(block, others - step)
+            of_effect = j >= len(self.stand) and late[self.effects[j - len(self.stand)].effect]
+            force = acting if of_effect else None
+            difference = self._read(block, others + step, force) - self._read(block, others - step, force)
             columns[:, :, FIXED + j] = difference / (2 * step[j])
-        return Linearisation(self.predict(block, others), columns, self.slope(block, others))
+        return Linearisation(self._read(block, others, acting), columns, self.slope(block, others))
+
+    def _read(self, block: Block, others: Floats, force: Floats | None) -> Floats:
+        """Return what `predict` does, where the specific force (n, 3) that acts is known by now."""
+        if force is None:
+            return self.predict(block, others)
+        model = replace(self.model, effects=self.effects_at(others))
+        return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
 
     def other_step(self, j: int) -> Floats:
         """Return the step (q,) of the differences by unknown `j` after the coefficients."""

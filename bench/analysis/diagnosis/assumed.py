@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import in_volts
 from bench.analysis.diagnosis.linear import LinearSystem
-from bench.model import CATALOGUE
+from bench.model import CATALOGUE, REFERENCE_C, Effect
 from bench.model.conditions import REMOUNT_S, SETTING_S
+from bench.model.effects import FormulaEffect
+from bench.model.effects.expression import names_in
 
 OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
+
+
+def at_reference(found: Iterable[Effect]) -> Iterator[str]:
+    """Yield at which temperature the coefficients are those that are told, where effects of it are beside them."""
+    names = [effect.name for effect in found if _of_temperature(effect)]
+    if names:
+        yield f"the coefficients are those at {REFERENCE_C:g} °C, from which {' and '.join(names)} counts"
+
+
+def _of_temperature(effect: Effect) -> bool:
+    return effect.name in OF_TEMPERATURE or (
+        isinstance(effect, FormulaEffect) and "temperature" in names_in(effect.expression)
+    )
 
 
 def assumed(linear: LinearSystem) -> Iterator[str]:

@@ -11,7 +11,7 @@ from scipy import special
 
 from bench.analysis.diagnosis.aliases import looking_like, order_of
 from bench.analysis.diagnosis.applied import applied_of
-from bench.analysis.diagnosis.assumed import assumed
+from bench.analysis.diagnosis.assumed import assumed, at_reference
 from bench.analysis.diagnosis.candidates import (
     FREE_BY_ANGLE,
     FREE_BY_PASS,
@@ -147,6 +147,7 @@ def diagnose(
             *(finding.words for finding in findings),
             *(kind.words for kind in described),
             *assumed(linear),
+            *at_reference(e.applied[0].effect for e in effects if e.applied),
             *common_volts(naming, sized, linear),
             *same_signature(naming),
         ),

@@ -157,14 +157,19 @@ class Search:
         """Project the known columns out of all others."""
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
-        inner = across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2
+        return cls._of(whitened, tuple(known), across, across[:, :, h])
+
+    @classmethod
+    def _of(cls, whitened: Whitened, known: tuple[int, ...], across: Floats, among: Floats) -> Search:
+        """Project columns out whose products with all are `across` (…, k, P), with each other `among` (…, k, k)."""
+        inner = among + np.eye(among.shape[-1]) / KNOWN_SIZE**2
         factor = np.linalg.cholesky(inner)
         inverse = np.linalg.inv(factor)
         half = inverse @ across
         gain = np.swapaxes(inverse, 1, 2) @ half
         diagonal = np.diagonal(factor, axis1=1, axis2=2)
         log_det = -np.sum(np.log(KNOWN_SIZE * diagonal), axis=1)
-        return cls(whitened, tuple(known), gain, half, inner, log_det)
+        return cls(whitened, known, gain, half, inner, log_det)
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
@@ -179,7 +184,7 @@ class Search:
         return tuple(groups)
 
     def _group(self, members: Ints, columns: Ints, blocks: Floats) -> Group:
-        if self.known:
+        if self.half.shape[1]:
             seen = np.moveaxis(self.half[:, :, columns], 1, 2)
             blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
         match columns.shape[1]:
@@ -238,18 +243,51 @@ class Search:
         null = _log_sum(of_null)
         out = np.full((len(self.whitened.candidates.variants), left.sets), EXCLUDED)
         if self.groups:
-            members, starts, values = self._together
-            squares = np.concatenate([_along(group, left) for group in self.groups], axis=1)
-            of_size = []
-            for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
-                weight = 1.0 / (values + 1.0 / size**2)
-                explained = np.add.reduceat(squares * weight[:, :, None], starts, axis=1)
-                rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
-                cost = 0.5 * np.add.reduceat(np.log1p(size**2 * values), starts, axis=1)
-                of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
-            total = _log_sum(np.stack(of_size))
-            out[members] = _log_sum(base[:, None] + total)
+            out[self._together[0]] = _log_sum(base[:, None] + self._likelihoods(left))
         return Scores(out - null, np.exp(of_null - null))
+
+    def _likelihoods(self, left: Data) -> Floats:
+        """Return ln of the likelihood of the data with each member of the groups, shape (ratios, v, sets)."""
+        grid = self.whitened.grid
+        _, starts, values = self._together
+        squares = np.concatenate([_along(group, left) for group in self.groups], axis=1)
+        of_size = []
+        for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
+            weight = 1.0 / (values + 1.0 / size**2)
+            explained = np.add.reduceat(squares * weight[:, :, None], starts, axis=1)
+            rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
+            cost = 0.5 * np.add.reduceat(np.log1p(size**2 * values), starts, axis=1)
+            of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
+        return _log_sum(np.stack(of_size))
+
+
+def beside_each(whitened: Whitened, data: Data, models: Sequence[Sequence[int]]) -> Floats:
+    """Return what `Search.beside(…).score(…).families` does for each of several models, shape (families, models).
+
+    Of one data set at one ratio of the noises; `models` are their known columns. They stand in the place of the
+    ratios, those with fewer columns than others filled up with columns of nothing.
+    """
+    many = max(len(known) for known in models)
+    known = np.array([[*columns, *[-1] * (many - len(columns))] for columns in models])
+    there = known >= 0
+    used = np.unique(known[there])
+    place = np.searchsorted(used, np.where(there, known, used[0]))
+    across = np.where(there[:, :, None], whitened.products.across(used)[0][place], 0.0)
+    among = np.take_along_axis(across, np.where(there, known, 0)[:, None, :], axis=2) * there[:, None, :]
+    search = Search._of(whitened, tuple(set(models[0]).intersection(*models)), across, among)
+    at_known = np.where(there, data.along[0, known, 0], 0.0)[:, :, None]
+    fitted = np.swapaxes(search.gain, 1, 2) @ at_known
+    explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(search.inner, at_known))
+    left = Data(data.square - explained, data.along - fitted)
+    scores = np.full((len(whitened.candidates.variants), len(models)), EXCLUDED)
+    if search.groups:
+        with_one = search._likelihoods(left)[:, :, 0]
+        scores[search._together[0]] = (with_one - whitened.grid.log_likelihood(left.square)).T
+    taken = np.zeros((len(models), data.along.shape[1]), dtype=bool)
+    taken[np.nonzero(there)[0], known[there]] = True
+    for members, columns, _ in whitened.blocks:
+        scores[members] = np.where(taken[:, columns].any(axis=2).T, EXCLUDED, scores[members])
+    return Scores(scores, np.ones((1, len(models)))).families(whitened.candidates)
 
 
 @dataclass(frozen=True)

@@ -143,9 +143,31 @@ class LinearSystem:
                 force, at_inputs = self._stand[0], self._still
                 of_block = effect.stage is Stage.BLOCK_OUTPUT
                 change = applied.addition(Seen(force if of_block else at_inputs, self.conditions, self.block))
+                return self._of_channels(change, of_block=of_block)
+
+    def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
+        """Return what a course over the readings (n,) adds at a stage, as `formula_columns` does.
+
+        At the stand it is of the angle `adds_to`, at the block's output in g, or with `of_force` a part of the
+        specific force.
+        """
+        force, by_angle = self._stand
+        match stage:
+            case Stage.STAND | Stage.HEAD_ANGLE:
+                number = STAND_ANGLES.index(adds_to) if stage is Stage.STAND else -1
+                return self.view.rows_of(by_angle[:, :, number] * course[:, None])[:, None]
+            case _:
+                of_block = stage is Stage.BLOCK_OUTPUT
+                change = np.repeat(course[:, None], 3, axis=1)
                 if of_block:
-                    change = np.where(np.isnan(self.view.voltage_v), change, 0.0)
-                return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
+                    change = change * np.diag(self.block.K) * (force if of_force else 1.0)
+                return self._of_channels(change, of_block=of_block)
+
+    def _of_channels(self, change: Floats, *, of_block: bool) -> Floats:
+        """Contract changes (n, 3) to the rows, each channel apart, (N, 3); the block's not at other inputs."""
+        if of_block:
+            change = np.where(np.isnan(self.view.voltage_v), change, 0.0)
+        return self.view.rows_of(change[:, :, None] * np.eye(3))
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
@@ -208,9 +230,11 @@ class _View:
         )
 
     def rows_of(self, change: Floats) -> Floats:
-        """Contract changes (n, 3) of the signals to rows of the system, shape (N,)."""
-        modulus = np.einsum("mi,mi->m", self.by_signal, change[self.moduli])
-        return np.concatenate([change[self.settings].ravel(), modulus, change[self.inputs].ravel()])
+        """Contract changes (n, 3, …) of the signals to rows of the system, shape (N, …)."""
+        modulus = np.einsum("mi,mi...->m...", self.by_signal, change[self.moduli])
+        each = change.shape[2:]
+        settings, inputs = (change[own].reshape(-1, *each) for own in (self.settings, self.inputs))
+        return np.concatenate([settings, modulus, inputs])
 
 
 def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import UNNAMED, Variant
-from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Data, Scores, Search, Whitened
+from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Data, Scores, Search, Whitened, beside_each
 from bench.analysis.diagnosis.threshold import Threshold, total_evidence
 from bench.base.arrays import Floats
 from bench.model import CATALOGUE
@@ -168,7 +168,7 @@ def _kept(whitened: Whitened, data: Data) -> dict[tuple[int, ...], Scored]:
     """Return what is kept of these data, by the columns that the model had; of other data it is forgotten."""
     if whitened.kept.get("data") is not data:
         whitened.kept.clear()
-        whitened.kept.update(data=data, scored={})
+        whitened.kept.update(data=data, scored={}, pairs={})
     scored: dict[tuple[int, ...], Scored] = whitened.kept["scored"]
     return scored
 
@@ -187,7 +187,7 @@ def name(
         if scored.total < threshold.value or len(found) == most + len(begun):
             break
         best = scored.best()
-        pair = None if best.variant.named else _named_pair(scored, data, best)
+        pair = None if best.variant.named else _pair_kept(scored, data, best)
         found += pair or [best]
         if len(found) > 1:
             found = held(whitened, data, _re_examine(whitened, data, found), threshold)
@@ -195,6 +195,16 @@ def name(
         tied(Scored.beside(whitened, data, _columns(found, but=i)), f) for i, f in enumerate(found)
     )
     return Naming(found_tied, scored.total)
+
+
+def _pair_kept(scored: Scored, data: Data, unnamed: Found) -> list[Found] | None:
+    """Return `_named_pair`, kept for who searches in the same data again."""
+    whitened = scored.search.whitened
+    _kept(whitened, data)
+    pairs: dict[tuple[int, ...], list[Found] | None] = whitened.kept["pairs"]
+    if scored.search.known not in pairs:
+        pairs[scored.search.known] = _named_pair(scored, data, unnamed)
+    return pairs[scored.search.known]
 
 
 def _named_pair(scored: Scored, data: Data, unnamed: Found) -> list[Found] | None:
@@ -205,17 +215,17 @@ def _named_pair(scored: Scored, data: Data, unnamed: Found) -> list[Found] | Non
     """
     search, evidence = scored.search, scored.evidence
     named = [family for family in evidence if family not in UNNAMED]
-    likeliest = search.whitened.at(scored.ratio), data.at(scored.ratio)
-    best: tuple[float, Found] | None = None
-    for family in sorted(named, key=lambda family: -evidence[family])[:FIRST_OF_PAIR]:
-        first = scored.found(family)
-        second = Scored.beside(*likeliest, [*search.known, *first.variant.columns]).best()
-        joint = first.evidence + second.evidence
-        if second.variant.named and (best is None or joint > best[0]):
-            best = joint, first
-    if best is None:
+    firsts = [scored.found(f) for f in sorted(named, key=lambda f: -evidence[f])[:FIRST_OF_PAIR]]
+    models = [[*search.known, *first.variant.columns] for first in firsts]
+    seconds = beside_each(search.whitened.at(scored.ratio), data.at(scored.ratio), models)
+    families = search.whitened.candidates.families
+    joint = [
+        first.evidence + float(of_first.max()) if families[int(of_first.argmax())] not in UNNAMED else -np.inf
+        for first, of_first in zip(firsts, seconds.T, strict=True)
+    ]
+    if max(joint, default=-np.inf) == -np.inf:
         return None
-    first = best[1]
+    first = firsts[int(np.argmax(joint))]
     second = Scored.beside(search.whitened, data, [*search.known, *first.variant.columns]).best()
     enough = first.evidence + second.evidence >= unnamed.evidence + PAIR_MARGIN
     return [first, second] if second.variant.named and enough else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -42,8 +43,14 @@ class OfColumns:
 
     def among(self, columns: Ints) -> Floats:
         """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        if columns.shape[-1] == 1:
+            return np.asarray(self._square[:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.white[:, :, columns], 1, -2)
         return np.asarray(np.swapaxes(chosen, -1, -2) @ chosen)
+
+    @cached_property
+    def _square(self) -> Floats:
+        return np.asarray(np.einsum("gnp,gnp->gp", self.white, self.white))
 
     def at(self, ratio: int) -> OfColumns:
         """Return those of one ratio alone."""

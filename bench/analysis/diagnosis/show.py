@@ -304,12 +304,10 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     force, size = modulus(start)
     steps = np.full(len(start), 1e-4 * float(np.max(np.abs(fit.block.K))))
     steps[FIXED:] = [problem.other_step(j)[j] for j in range(len(fit.others))]
-    columns = np.column_stack(
-        [
-            (modulus(start + change)[1] - modulus(start - change)[1]) / (2 * np.sum(change))
-            for change in np.diag(steps)
-        ]
-    )
+    columns = np.zeros((len(rows), len(start)))  # a modulus depends on no angle of the stand
+    for j in [*range(FIXED), *range(FIXED + len(problem.stand), len(start))]:
+        change = steps * (np.arange(len(start)) == j)
+        columns[:, j] = (modulus(start + change)[1] - modulus(start - change)[1]) / (2 * steps[j])
     by_signal = (force / size[:, None]) @ np.linalg.inv(fit.block.K)
     variance = np.einsum("mp,pq,mq->m", columns, fit.covariance, columns)
     variance += np.sum((by_signal * fit.noise.by_channel) ** 2, axis=1)

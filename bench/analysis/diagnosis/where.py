@@ -12,10 +12,12 @@ from scipy import special
 
 from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
-from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
 SIGNIFICANT: Final = 0.01
+TOLD: Final = 1e-3
+"""A column that the places before leave no more of is theirs."""
 MOST_PLACES: Final = 8
 HARMONICS: Final = (
     "constant",
@@ -55,27 +57,25 @@ def find_places(
     `sigma` is the noise of a reading as the repeats give it, with `freedom`; `ratio` says which of the grid.
     """
     looks = list(_looks(linear))
-    white = [grid.white[ratio] @ look.columns for look in looks]
+    white = grid.white[ratio] @ np.concatenate([look.columns for look in looks], axis=1)
+    wide = np.array([look.columns.shape[1] for look in looks])
+    first = np.cumsum(wide) - wide
+    size_of = np.linalg.norm(white, axis=0)
     left = grid.white[ratio] @ linear.response
     places: list[Place] = []
     basis = np.zeros((len(left), 0))
     while len(places) < MOST_PLACES:
-        best = None
-        for look, columns in zip(looks, white, strict=True):
-            seen = columns - basis @ (basis.T @ columns)
-            q, r = np.linalg.qr(seen)
-            usable = np.abs(np.diag(r)) > 1e-3 * np.linalg.norm(columns, axis=0)
-            if not usable.all():
-                continue
-            part = q.T @ left
-            statistic = float(part @ part) / len(part) / sigma**2
-            p = float(special.fdtrc(len(part), freedom, statistic))
-            # where p underflows the size of the statistic still orders
-            if best is None or (p, -statistic) < best[0]:
-                best = ((p, -statistic), look, q, np.linalg.solve(r, part))
-        if best is None or best[0][0] * len(looks) > SIGNIFICANT:
+        seen = white - basis @ (basis.T @ white)
+        square, usable = _explained(seen, left, first, wide > 1, TOLD * size_of)
+        statistic = square / wide / sigma**2
+        p_each = np.where(usable, special.fdtrc(wide, freedom, statistic), np.inf)
+        # where p underflows the size of the statistic still orders
+        best = int(np.lexsort((-statistic, p_each))[0])
+        p, look = float(p_each[best]), looks[best]
+        if p * len(looks) > SIGNIFICANT:
             break
-        (p, _), look, q, amplitude = best
+        q, r = np.linalg.qr(seen[:, first[best] : first[best] + wide[best]])
+        amplitude = np.linalg.solve(r, q.T @ left)
         size = float(np.max(np.abs(look.columns @ amplitude)))
         places.append(
             Place(
@@ -86,6 +86,25 @@ def find_places(
         left = left - q @ (q.T @ left)
         basis = np.column_stack([basis, q])
     return tuple(places)
+
+
+def _explained(seen: Floats, left: Floats, first: Ints, two: Mask, least: Floats) -> tuple[Floats, Mask]:
+    """Return the square that each pattern explains of what is left, and whether its columns can be told at all.
+
+    A pattern has the column `first` of those `seen` (N, columns), and where it has `two` the next one, too; what
+    the places before leave of a column is to be more than the `least` of it.
+    """
+    second = np.minimum(first + 1, seen.shape[1] - 1)
+    along = seen.T @ left
+    own, other = np.sum(seen[:, first] ** 2, axis=0), np.sum(seen[:, second] ** 2, axis=0)
+    mixed = np.sum(seen[:, first] * seen[:, second], axis=0)
+    usable = np.sqrt(own) > least[first]
+    slope = mixed / np.where(usable, own, 1.0)
+    rest = np.maximum(other - slope * mixed, 0.0)
+    usable &= ~two | (np.sqrt(rest) > least[second])
+    square = along[first] ** 2 / np.where(usable, own, 1.0)
+    more = (along[second] - slope * along[first]) ** 2 / np.where(usable & two, rest, 1.0)
+    return square + np.where(two, more, 0.0), usable
 
 
 def _looks(linear: LinearSystem) -> Iterator[_Look]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from bench.analysis.calibration.design import FIXED, Problem
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
 from bench.analysis.calibration.result import Noise
 from bench.base.arrays import Floats, Ints
-from bench.model import Block, Conditions
+from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Conditions
 
 WIDE_G: Final = 5e-3
 """Prior 1 sigma of a free value of a point, or of a slow change, in g: more than any effect makes."""
@@ -25,6 +26,10 @@ FIRST: Final = 3
 """Readings after a remount that may be off by hysteresis: the block came from elsewhere,"""
 FIRST_G: Final = 1e-4
 """by so much, prior 1 sigma, in g."""
+HYSTERESIS: Final = CATALOGUE["hysteresis"]
+"""What makes first readings differ from their repeats without a mistake,"""
+WIDTHS_G: Final = next(p.grid for p in HYSTERESIS.parameters if p.name == "width_g")
+"""with a play of about one of these widths."""
 RELAXATION_S: Final = (480.0, 960.0, 1920.0, 3840.0)
 """Time constants of slow changes."""
 
@@ -89,11 +94,27 @@ class Descriptions:
 
     Where points are hardly repeated the ladder is the model, and the model with slow changes. `drifting` is
     that, too; `beginning` the last of the ladder, where the first readings of a mounting may be off besides.
+    `model` are the columns of the first, of the readings of a `problem` about a `block`.
     """
 
     ladder: tuple[Description, ...]
     drifting: Description
     beginning: Description
+    model: Sequence[Floats]
+    problem: Problem
+    block: Block
+
+    @cached_property
+    def hysteretic(self) -> tuple[Description, ...]:
+        """The first of the ladder, where every channel has hysteresis besides: one for each width of its play.
+
+        Not for all widths at once: their differences are off in a first reading and nowhere else, as nothing is
+        that friction does.
+        """
+        return tuple(
+            Description(np.concatenate([*self.model, columns], axis=2), self.drifting.stand)
+            for columns in _hysteresis(self.problem, self.block)
+        )
 
 
 def descriptions(problem: Problem, block: Block) -> Descriptions:
@@ -111,13 +132,29 @@ def descriptions(problem: Problem, block: Block) -> Descriptions:
 
     drifting = described(*model, *slow)
     if len(groups) - len(np.unique(groups)) < LEAST_REPEATS:
-        return Descriptions((described(*model), drifting), drifting, described(*model, *slow, first))
+        return Descriptions(
+            (described(*model), drifting), drifting, described(*model, *slow, first), model, problem, block
+        )
     point = _per_channel(groups[:, None] == np.unique(groups), WIDE_G * scale)
     return Descriptions(
         (described(*model), described(*model, point), described(*model, point, *slow)),
         drifting,
         described(*model, point, *slow, first),
+        model,
+        problem,
+        block,
     )
+
+
+def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
+    """Yield columns of hysteresis of each of the catalogue's widths, for each channel apart, (n, 3, 3)."""
+    still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
+    plain = replace(problem.model, effects=())
+    without = plain.readings(block, problem.conditions, still)
+    for width_g in WIDTHS_G:
+        applied = AppliedEffect(HYSTERESIS, {"size": np.full(3, WIDE_G), "width_g": np.asarray(width_g)})
+        moved = replace(plain, effects=(applied,)).readings(block, problem.conditions, still) - without
+        yield moved[:, :, None] * np.eye(3)
 
 
 def _first(conditions: Conditions) -> NDArray[np.bool_]:

@@ -57,6 +57,8 @@ MOST_STRANGE: Final = 6
 """So many readings, or an eighth of them, may be mistakes; more are not single ones."""
 ADEQUATE: Final = 0.05
 """A description is too plain where a freer one is better with a p below this."""
+INADEQUATE: Final = 1e-4
+"""It is too plain for certain where that p is below this."""
 STANDS_OUT: Final = 3.5
 """Least size, in standard deviations, of a mistake beside the descriptions that are freer than needed."""
 EXPLAINED: Final = 1e-4
@@ -194,18 +196,28 @@ class _Ladder:
     def freer(self, level: int, mistake: SingleMistake, first: bool) -> Sequence[Description]:
         """Return the descriptions beside which a mistake must stand out, too: of what may pass for one.
 
-        Readings that drift may, and hysteresis in the first readings of a mounting: in the very first one
-        (`first`), or in any of them where the plainest description does not do. Hysteresis hardly passes for a
-        wrong setting, which shifts the signals by known amounts.
+        Readings that drift may, and hysteresis in the first readings of a mounting. One that is small passes for
+        stand angles in all but the very first reading (`first`), and is held against it as the catalogue has it;
+        one that is large shows in the others, too: where the plainest description does not do, any of the first
+        readings may be off. It hardly passes for a wrong setting, which shifts the signals by known amounts.
         """
         described, examined = self._described, self.examined(level)
         ladder = described.ladder[level + 1 :]
-        if mistake.off_rad is None and (first or level > 0):
-            return [*ladder, described.beginning]
+        hysteresis: list[Description] = []
+        if mistake.off_rad is None and level > 0 and self._plainly_not(level):
+            hysteresis = [described.beginning]
+        elif mistake.off_rad is None and first:
+            hysteresis = [*described.hysteretic]
         if level > 0:
-            return ladder
+            return [*ladder, *hysteresis]
         steady = self._p(level, described.drifting, examined.noise, examined.strange) > ADEQUATE
-        return ladder[:-1] if steady else ladder
+        return [*(ladder[:-1] if steady else ladder), *hysteresis]
+
+    def _plainly_not(self, level: int) -> bool:
+        """Whether the plainest description does not do, and not by chance."""
+        free = self.examined(level)
+        strange = tuple(dict.fromkeys((*self.examined(0).strange, *free.strange)))
+        return self._p(0, self._described.ladder[level], free.noise, strange) < INADEQUATE
 
     def _p(self, level: int, free: Description, noise: Noise, strange: Sequence[int]) -> float:
         """Return the p of what a freer description explains more: F test, without what is strange."""

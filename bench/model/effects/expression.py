@@ -174,7 +174,10 @@ def _as_float(value: int | float) -> float:
 
 
 class ValueReading:
-    """The values of an expression: `names` holds those of variables and parameters, `lagged` the function."""
+    """The values of an expression: `names` holds those of variables and parameters, `lagged` the function.
+
+    What is not finite numpy would warn of: whoever reads an expression so keeps it quiet, once for all operations.
+    """
 
     def __init__(self, names: Mapping[str, Floats], lagged: Callable[[Floats, Floats], Floats]) -> None:
         self._names = names
@@ -192,15 +195,13 @@ class ValueReading:
 
     def operation(self, symbol: str, left: Floats, right: Floats) -> Floats:
         """Return what an operation gives; what is not finite is found out by whoever asked."""
-        with np.errstate(all="ignore"):
-            return np.asarray(_OPERATIONS[symbol](left, right), dtype=np.float64)
+        return np.asarray(_OPERATIONS[symbol](left, right), dtype=np.float64)
 
     def call(self, name: str, arguments: list[Floats]) -> Floats:
         """Return what a function gives."""
         if name == LAGGED:
             return self._lagged(*arguments)
-        with np.errstate(all="ignore"):
-            return np.asarray(FUNCTIONS[name](*arguments), dtype=np.float64)
+        return np.asarray(FUNCTIONS[name](*arguments), dtype=np.float64)
 
 
 _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {

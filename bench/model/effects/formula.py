@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -55,6 +55,8 @@ class FormulaEffect(Effect):
     adds_to: str = ""
     per_mount: bool = False
     lasts: bool = False
+    origin: str = field(default="", compare=False, repr=False)
+    """File and line of the expression, where it was read from one: for whoever is to mend it."""
 
     def __post_init__(self) -> None:
         """Prove the expression: every name known, each term of the first degree in the sizes."""
@@ -101,7 +103,8 @@ class FormulaEffect(Effect):
             known = {name: c if c.ndim == 2 else c[..., None] for name, c in known.items()}
         time_s = seen.conditions.elapsed_s
         reading = ValueReading({**known, **values}, lambda course, lag: _lagged(course, time_s, lag))
-        added = interpret(self.expression, reading)
+        with np.errstate(all="ignore"):
+            added = interpret(self.expression, reading)
         shape = (len(seen.conditions), 3) if channels else (len(seen.conditions),)
         away = ~np.isfinite(seen.conditions.angle_rad)
         if used.isdisjoint(OF_THE_HEAD):
@@ -118,7 +121,8 @@ class FormulaEffect(Effect):
         if bad.any():
             row = int(np.flatnonzero(bad.reshape(len(added), -1).any(axis=1))[0])
             raise ExpressionError(
-                f"the formula of {self.name} gives no finite number for reading {row + 1}; change the expression, "
+                f"{f'{self.origin}: ' if self.origin else ''}the formula of {self.name} gives no finite number for "
+                f"reading {row + 1}, as a division by zero does; change the expression, "
                 "such as by max(…, 1e-6) in a divisor or a logarithm"
             )
         return added

@@ -9,6 +9,7 @@ from bench.analysis.diagnosis import ThresholdCache, diagnose
 from bench.analysis.diagnosis.joint import make_system, with_blocks
 from bench.analysis.diagnosis.linear import make_linear
 from bench.analysis.diagnosis.runs import candidates_of
+from bench.analysis.diagnosis.threshold import Threshold
 from bench.base.cache import cache_folder
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.joined import JoinedPart, together
@@ -112,6 +113,25 @@ def test_what_is_too_small_for_one_run_shows_in_several_blocks(cache):
     (value,) = found.effects[0].parameters
     assert abs(value.value - 5.0) < 4 * value.u
     assert found.gap.after < found.gap.before
+
+
+class OneThreshold(ThresholdCache):
+    """A threshold that nobody simulated: high enough that nothing is found but what is large."""
+
+    def threshold(self, linear, whitened, setting_rad):
+        return Threshold(6.0, 0.006, 3.0, 0.05, 1.4, 2000)
+
+
+@pytest.mark.slow
+def test_what_several_blocks_have_is_named_alone_and_no_form_without_a_name_is_sought():
+    rng = np.random.default_rng(23)
+    tables = runs(2, 24, backlash_rad=np.radians(60 / 3600), directions=(1, -1, 1))
+    tables[1] = other_block(tables[1], rng)
+    found = diagnose(joined(tables), MODEL, LIMITS, SCALE, OneThreshold(None))
+    assert found.linear.readings.block is not None
+    assert found.verdict == "named"
+    assert [e.name for e in found.effects] == ["backlash"]
+    assert found.form is None
 
 
 @pytest.mark.slow

@@ -17,7 +17,8 @@ from bench.analysis.diagnosis.candidates import Candidates, Column, Variant
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.base.arrays import ARCSEC, MINUTE, Floats
 from bench.model import AppliedEffect, Conditions, Parameter, Stage
-from bench.model.effects import FormulaEffect
+from bench.model.effects import FormulaEffect, Seen
+from bench.model.effects.expression import names_in
 from bench.model.effects.formula import SUBSYSTEM_OF
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
@@ -73,7 +74,10 @@ class Course:
 
 @dataclass(frozen=True)
 class Term:
-    """A term of the dictionary: a course or a product at a stage, with the unit of its sizes."""
+    """A term of the dictionary: a course or a product at a stage, with the unit of its sizes.
+
+    `course` are the expressions of its course, where it is one, `of_force` one that is a part of the force.
+    """
 
     family: str
     stage: Stage
@@ -82,6 +86,8 @@ class Term:
     adds_to: str = ""
     constants: tuple[Parameter, ...] = ()
     once: bool = False
+    course: tuple[str, ...] = ()
+    of_force: bool = False
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
         """Return the term as an effect of this name, with a size for each channel or one for all."""
@@ -140,17 +146,14 @@ def make_dictionary(linear: LinearSystem, given: Floats) -> Dictionary:
         variants.append(Variant(term.family, places, channels))
         term_of[places] = term
 
+    of_courses: dict[tuple[object, ...], Floats] = {}
     for term in _terms(linear):
         sizes = SIZE_NAMES[: len(term.expressions)]
-        with_channels = term.stage in {Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING}
-        effect = term.effect("term", per_channel=with_channels)
-        if not with_channels:
-            group = [(size, None, _columns(linear, effect, size)[:, 0]) for size in sizes]
-            if any(np.any(column) for _, _, column in group):
-                take(term, ALL, group)
-            continue
-        each = {size: _columns(linear, effect, size) for size in sizes}
+        each = dict(zip(sizes, _columns(linear, term, of_courses), strict=True))
         if not any(np.any(column) for column in each.values()):
+            continue
+        if term.stage not in WITH_CHANNELS:
+            take(term, ALL, [(size, None, each[size][:, 0]) for size in sizes])
             continue
         for channel in ALL:
             if any(np.any(each[size][:, channel]) for size in sizes):
@@ -161,11 +164,36 @@ def make_dictionary(linear: LinearSystem, given: Floats) -> Dictionary:
     )
 
 
-def _columns(linear: LinearSystem, effect: FormulaEffect, size: str) -> Floats:
-    """Return what a plausible size adds to the rows: (N, 3) by channel, or (N, 1)."""
-    parameter = next(p for p in effect.parameters if p.name == size)
-    value = np.full(3 if parameter.per_channel else (), parameter.plausible)
-    return linear.formula_columns(AppliedEffect(effect, {size: value}))
+WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
+
+
+def _columns(
+    linear: LinearSystem, term: Term, of_courses: dict[tuple[object, ...], Floats]
+) -> Iterator[Floats]:
+    """Yield for each size of a term what a plausible one adds to the rows: (N, 3) by channel, or (N, 1).
+
+    A course acts at many stages: what it is in the readings is kept in `of_courses`.
+    """
+    if not term.course:
+        effect = term.effect("term", per_channel=term.stage in WITH_CHANNELS)
+        for size in SIZE_NAMES[: len(term.expressions)]:
+            value = np.full(3 if term.stage in WITH_CHANNELS else (), term.unit.plausible)
+            yield linear.formula_columns(AppliedEffect(effect, {size: value}))
+        return
+    for text in term.course:
+        key = (text, tuple((p.name, p.default) for p in term.constants))
+        if key not in of_courses:
+            of_courses[key] = _course(linear, text, term.constants)
+        course = term.unit.plausible * of_courses[key]
+        yield linear.course_columns(course, term.stage, term.adds_to, of_force=term.of_force)
+
+
+def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:
+    """Return a course over the readings (n,), as a formula of the head's angle sees it."""
+    own = tuple(p for p in constants if p.name in names_in(text))
+    term = Term("", Stage.HEAD_ANGLE, (text,), ANGLE, constants=own)
+    applied = AppliedEffect(term.effect("course", per_channel=False), {SIZE_NAMES[0]: np.ones(())})
+    return applied.addition(Seen(linear.conditions.angle_rad, linear.conditions, linear.block))
 
 
 # --- terms ------------------------------------------------------------------------------------------
@@ -185,18 +213,30 @@ def _terms(linear: LinearSystem) -> Iterator[Term]:
             "",
             known,
             course.once,
+            course.expressions,
         )
         if course.long:
             unit = SCALE_PER_K if course.of_temperature else SCALE
             times = tuple(f"a * ({text})" for text in course.expressions)
             words = f"{course.words}, in the scale factor"
-            yield Term(words, Stage.BLOCK_OUTPUT, times, unit, "", known, course.once)
+            yield Term(
+                words,
+                Stage.BLOCK_OUTPUT,
+                times,
+                unit,
+                "",
+                known,
+                course.once,
+                course.expressions,
+                of_force=True,
+            )
         unit = ANGLE_PER_K if course.of_temperature else ANGLE
         words = f"{course.words}, in the head's angle"
-        yield Term(words, Stage.HEAD_ANGLE, course.expressions, unit, "", known, course.once)
+        texts = course.expressions
+        yield Term(words, Stage.HEAD_ANGLE, texts, unit, "", known, course.once, texts)
         for angle, what in () if course.local else STAND_WORDS.items():
             words = f"{course.words}, in {what}"
-            yield Term(words, Stage.STAND, course.expressions, unit, angle, known, course.once)
+            yield Term(words, Stage.STAND, texts, unit, angle, known, course.once, texts)
     for words, expressions in FORCES.items():
         for text in expressions:
             yield Term(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
@@ -225,7 +265,8 @@ def _of_voltmeters(courses: Sequence[Course]) -> Iterator[Term]:
         if course.long:
             unit = VOLTS_PER_K if course.of_temperature else VOLTS
             words = f"{course.words}, in the voltage"
-            yield Term(words, stage, course.expressions, unit, "", course.constants, course.once)
+            texts = course.expressions
+            yield Term(words, stage, texts, unit, "", course.constants, course.once, texts)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
         yield Term("the size of a voltage", stage, (text,), GAIN)
     yield Term("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
