@@ -226,6 +226,29 @@ def register(
     return 1 if found.problems else 0
 
 
+@GROUP.command(epilog="Example: bench certificate verify 2026-0007.pdf --trust laboratory.pem.crt")
+def verify(
+    file: Annotated[Path, typer.Argument(help="Certificate, PDF or XML; the other form is found beside it.")],
+    trust: Annotated[
+        Path | None,
+        typer.Option(
+            "--trust", metavar="FILE", help="Certificates (PEM) of signers or authorities that are believed."
+        ),
+    ] = None,
+    json: JsonOption = None,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Whether a certificate is intact and who signed it; shows what was signed; exit status 1 where it is not."""
+    from bench.certificate.verify.verdict import verify_certificate
+    from bench.cli.certificate_verdict import print_verdict
+
+    printing.check_target(json)
+    verdict = verify_certificate(file, trust, runs)
+    printing.write_json([verdict.to_json()], json)
+    print_verdict(verdict, printing.console(json=json))
+    return 0 if verdict.accepted else 1
+
+
 @GROUP.command(epilog="Example: bench certificate read 2026-0007.xml --out coefficients.json")
 def read(
     file: Annotated[
