@@ -17,6 +17,10 @@ class TimeLeft:
         self._left_s = [*reversed(list(accumulate(reversed(step_s)))), 0.0]
         self._begun: tuple[int, float] | None = None
 
+    def begin(self, index: int, bench_s: float) -> None:
+        """Say at which step, and when, what sets the pace began."""
+        self._begun = (index, bench_s)
+
     def at(self, index: int, bench_s: float) -> float:
         """Return the time left at the step `index` that begins at `bench_s`; the first asked about began the
         run."""

@@ -1,5 +1,6 @@
 """Dry runs whose questions a person answers: at the terminal or in the run's folder, the readings are the same."""
 
+import json
 import threading
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from bench.run.folder import Run
 from bench.run.states import Wish
 from benchmarks.answering_campaign import Hands, amiss, answer_to, one
 from benchmarks.kill_campaign import differences
+from tests.support.schemas import keeps_to
 
 POINTS = """\
 procedure: points
@@ -109,8 +111,20 @@ def test_a_place_that_is_none_is_refused(bench, points):
     assert "--follow asks at the terminal" in bench(*RUN, "--answers", "folder", "--follow")[2]
 
 
+def test_a_run_with_a_panel_prints_the_link_to_its_page_and_is_answered_there(points, monkeypatch):
+    monkeypatch.setattr(
+        "bench.panel.serving.open_panel", lambda runs, after: f"http://127.0.0.1:1/{runs.name}{after}"
+    )
+    run, (status, out, _) = points("one", *RUN, "--name", "one", "--panel")
+    assert status == 0
+    assert "panel: http://127.0.0.1:1/runs/runs/one/" in out
+    assert {e.data["where"] for e in run.history.events if e.type == "answered"} == {"panel"}
+
+
 def test_show_and_log_tell_who_answered_what(points, bench):
     points("one", *RUN, "--name", "one", "--answers", "folder")
+    for line in Path("runs/one/events.jsonl").read_text(encoding="utf-8").splitlines():
+        keeps_to("event", json.loads(line))
     status, out, _ = bench("show", "one")
     assert status == 0
     assert "asked: Which cable is it?" in out

@@ -82,6 +82,8 @@ class Follower:
 
     def state(self) -> dict[str, Any]:
         """Return what is told of the run now, see `bench.panel.following.snapshot`."""
+        if (begun := self._seen.begun) is not None:
+            self._time_left.begin(begun.step, begun.bench_s)
         return snapshot(
             self._seen, self._about, self._time_left, self.prompt, alive=self._alive, now=utc_now()
         )

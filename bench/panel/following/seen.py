@@ -40,6 +40,7 @@ class Seen:
     events: int = 0
     latest: Event | None = None
     step: Event | None = None
+    begun: Event | None = None
     turn: Event | None = None
     set_c: float | None = None
     slow: Event | None = None
@@ -73,6 +74,7 @@ class Seen:
         self.last.append(event)
         if event.type == EventType.STEP_STARTED:
             self.step = event
+            self.begun = self.begun or event
             if self._kinds[event.step] is Turn:
                 self.turn = event
         elif event.type == EventType.STEP_DONE:
@@ -102,7 +104,7 @@ class Seen:
             case EventType.LEFT_SAFE:
                 self.left_safe = {str(name): str(what) for name, what in event.data["to_do"].items()}
             case EventType.RUN_RESUMED:
-                self.step, self.left_safe, self.why = None, {}, ""
+                self.step, self.begun, self.left_safe, self.why = None, None, {}, ""
             case EventType.ASKED:
                 self.refused = None
             case EventType.ANSWERED:

@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from io import SEEK_END
 from pathlib import Path
+from typing import Final
 
 from bench.base.collecting import uncollected
-from bench.run.events import Event
+from bench.run.events import Event, EventType
 from bench.run.history import parse_line
 from bench.run.manifest import EVENTS, RecordError
+
+KEPT_LINES, KEPT_BYTES = 100, 1 << 20
+"""Near its two ends all of a record is read; between them the beginnings of steps tell nothing any more."""
+
+HEAD: Final = 160
+_BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
+"""Stands before everything that a person or an instrument says."""
 
 
 class Tail:
@@ -29,18 +37,22 @@ class Tail:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Return the events written since the last call.
+        """Return the events written since the last call, of a long record without the beginnings of old steps.
 
         Raises `RecordError` where the record is not one that has only grown.
         """
         try:
             with self._path.open("rb") as file, uncollected():
-                if file.seek(0, SEEK_END) < self._read:
+                size = file.seek(0, SEEK_END)
+                if size < self._read:
                     raise RecordError(f"{self._path}: is shorter than it was; another program changed it")
                 file.seek(self._read)
                 for line in file:
                     if not line.endswith(b"\n"):
                         return
+                    if self._count > KEPT_LINES and size - self._read > KEPT_BYTES and _BEGUN in line[:HEAD]:
+                        self._count, self._read = self._count + 1, self._read + len(line)
+                        continue
                     yield self._event(line)
         except FileNotFoundError:
             return

@@ -196,3 +196,18 @@ def test_a_question_of_a_program_that_is_gone_is_none_even_when_another_goes_on(
     assert follower.prompt is not None
     assert follower.prompt.prompt.id == "2"
     record.close()
+
+
+def test_of_a_long_record_the_beginnings_of_old_steps_are_passed_over_and_nothing_is_told_otherwise(
+    growing, lines, monkeypatch
+):
+    append(growing, b"".join(lines[:100]))
+    whole, points = all_of(Follower(growing))
+    monkeypatch.setattr("bench.panel.following.tail.KEPT_LINES", 8)
+    monkeypatch.setattr("bench.panel.following.tail.KEPT_BYTES", 12_000)
+    numbers = [event.number for event in Tail(growing).new()]
+    assert len(numbers) < 80
+    assert numbers[-20:] == list(range(81, 101))
+    skimmed, same_points = all_of(Follower(growing))
+    assert skimmed == whole
+    assert same_points == points
