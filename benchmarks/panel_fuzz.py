@@ -11,6 +11,7 @@ import argparse
 import asyncio
 import gc
 import json
+import math
 import shutil
 import tempfile
 import tracemalloc
@@ -25,16 +26,29 @@ from bench.panel.access.store import Access
 from bench.panel.app import make_app
 from bench.panel.holding import JOURNAL
 from bench.panel.settings import STATE, Settings
-from bench.run.answers import ANSWERS
+from bench.run.answers import ANSWERS, asked_to_json, problem_with_answer
 from bench.run.control import CONTROL
 from bench.run.manifest import EVENTS
 from bench.run.record import Record
 from benchmarks.panel_requests import CHANGES, HOST, SECRET, Actor, Request, Requests
 from drivers.clock import utc_now
+from drivers.interfaces import Prompt, PromptKind
 
 RECORD = Path(__file__).parents[1] / "tests" / "data" / "records"
 MAY_CHANGE = {"holding.jsonl", "answers.jsonl", "control.jsonl", ".holding.jsonl.lock"}
 """What a person with the right to may bring about in a run's folder."""
+
+QUESTION = Prompt(
+    id="1@1",
+    kind=PromptKind.ANGLE,
+    text="Turn to 120° 30′ 15″",
+    action={
+        "do": "turn",
+        "target_rad": math.radians(120 + 30.25 / 60),
+        "tolerance_rad": 1e-3,
+        "direction": 1,
+    },
+)
 
 Tree = dict[str, tuple[int, int]]
 
@@ -77,7 +91,12 @@ class Place:
         self.actors[1] = Actor("revoked", revoked.person, revoked.token, cookie, revoked=True)
         token = access.new_token("looker", Role.VIEWER)
         self.actors.append(Actor("looker", access.sign_in_by_token(token), token, cookie))
-        self.record, _ = Record.reopen(self.runs / "alive", utc_now)  # somebody carries it out
+        self.record, history = Record.reopen(
+            self.runs / "alive", utc_now
+        )  # somebody carries it out, and asks
+        bench_s = history.events[-1].bench_s
+        self.record.append("run_resumed", bench_s, step=1, instruments={})
+        self.record.append("asked", bench_s, **asked_to_json(QUESTION))
 
     def tree(self) -> Tree:
         """Return size and time of every file that no request may change but by right."""
@@ -101,8 +120,13 @@ class Place:
         for line in _lines(self.runs / "alive" / CONTROL):
             if line["role"] == Role.VIEWER and line["wish"] != "stop":
                 wrong.append(f"a viewer's wish was left: {line}")
-        if _lines(self.runs / "alive" / ANSWERS):
-            wrong.append("an answer was left, and nothing is asked")
+        for line in _lines(self.runs / "alive" / ANSWERS):
+            if (
+                line["role"] == Role.VIEWER
+                or line["id"] != QUESTION.id
+                or problem_with_answer(QUESTION, line["answer"])
+            ):
+                wrong.append(f"an answer was left that does not fit: {line}")
         for journal in self.runs.glob(f"*/{JOURNAL}"):
             holder = ""
             for line in _lines(journal):

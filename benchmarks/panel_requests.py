@@ -57,7 +57,9 @@ NAMES = (
 WORDS = (
     "take", "ask", "grant", "deny", "release", "force", "pause", "continue", "stop", "abort", "skip",
     "redo", "yes",
-    "120 30 15", "calibration", "paper-stand", "../outside/procedure.yaml", "next:done", "next:../outside", "",
+    "120 30 15", "120° 30′ 15″",
+    "1e999", "-0", "nan", "９９", "1" * 400, "calibration", "paper-stand",
+    "../outside/procedure.yaml", "next:done", "next:../outside", "",
     "\x1b[2J", "\u0000", "é" * 300, "<script>alert(1)</script>", "' OR 1=1 --", "x" * 9000, "--help",
     "1@1", "{{7*7}}",
 )  # fmt: skip
@@ -150,7 +152,7 @@ class Requests:
         actor = draw.choice(self._actors)
         method = draw.choice(METHODS) if draw.random() < 0.1 else draw.choice(("GET", "POST", "POST"))
         path = self._path()
-        right_origin, right_form, right_host = (draw.random() < 0.7 for _ in range(3))
+        right_origin, right_form, right_host = (draw.random() < part for part in (0.75, 0.75, 0.9))
         headers = [
             (b"host", HOST.encode() if right_host else self._bytes(("evil.example", "", "\xff", HOST + "x")))
         ]
@@ -175,11 +177,7 @@ class Requests:
         # who signs in makes a session, with a token of one's own
         by_token = path == "/sign-in" and bool(actor.token) and not actor.revoked
         entitled = method == "POST" and right_origin and right_host and (by_session or by_token)
-        query = (
-            urlencode({draw.choice(FIELDS): draw.choice(WORDS)}, errors="replace").encode()
-            if draw.random() < 0.5
-            else b""
-        )
+        query = urlencode(self._sent(), errors="replace").encode() if draw.random() < 0.5 else b""
         return Request(method, path, query, tuple(headers), body, entitled, actor.name)
 
     def raw(self, host: str) -> bytes:
@@ -204,8 +202,10 @@ class Requests:
 
     def _path(self) -> str:
         draw = self._random
-        if draw.random() < 0.25:
+        if draw.random() < 0.2:
             return draw.choice(FIXED)
+        if draw.random() < 0.1:
+            return f"/runs/alive/{draw.choice(('check-answer', 'answer', 'control', 'wish'))}"
         name = draw.choice(self._runs) if draw.random() < 0.7 else draw.choice(NAMES)
         path = f"/runs/{name}/{draw.choice(OF_RUN)}"
         if draw.random() < 0.05:
@@ -235,7 +235,9 @@ class Requests:
 
     def _sent(self) -> dict[str, str]:
         draw = self._random
-        return {draw.choice(FIELDS): draw.choice(WORDS) for _ in range(draw.randrange(5))}
+        sent = {draw.choice(FIELDS): draw.choice(WORDS) for _ in range(draw.randrange(5))}
+        # the question that stands, so that what is read of an answer is reached
+        return sent | ({"id": "1@1", "text": draw.choice(WORDS)} if draw.random() < 0.2 else {})
 
     def _body(self, sent: dict[str, str], kind: str) -> tuple[bytes, ...]:
         draw = self._random

@@ -8,6 +8,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))  # the generators stand beside the pages and are installed nowhere
 
 from docs.generators import write_pages  # noqa: E402
+from docs.generators.example_certificate import write_example  # noqa: E402
 from docs.generators.panel_pictures import write_pictures  # noqa: E402
 
 project = "Calibration bench"
@@ -37,3 +38,4 @@ pygments_dark_style = "monokai"
 
 write_pictures(HERE / "reference")
 write_pages(HERE / "reference")
+write_example(HERE / "reference")

@@ -16,6 +16,7 @@ from bench.base.forms import Document, load_document, validated
 from bench.base.json_text import read_json
 from bench.base.whole import write_whole
 from bench.certificate.content import Before, Certificate, Issue
+from bench.certificate.extra import needing_packages
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import Laboratory, Person, laboratory_of
 from bench.certificate.order import Order
@@ -24,8 +25,6 @@ from bench.certificate.register import ISSUED, REVOKED, Entry, Register, Standin
 if TYPE_CHECKING:
     from bench.certificate.dcc.schema import Schemas
     from bench.certificate.signature.signatory import Signatory
-
-MISSING = "certificates need the package {}: pip install 'triaxial-bench[certificate]'"
 
 
 @dataclass(frozen=True)
@@ -254,11 +253,9 @@ def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodie
 
     Raises `Refused` where the document breaks a rule of ours or of the schemas.
     """
-    try:
+    with needing_packages():
         from bench.certificate.dcc.document import document_of
         from bench.certificate.dcc.rules import broken_rules
-    except ImportError as error:
-        raise Refused(MISSING.format(error.name)) from error
     xml = document_of(certificate)
     wrong = [*broken_rules(xml), *(schemas.mistakes(xml) if schemas is not None else ())]
     if wrong:

@@ -226,9 +226,34 @@ def register(
     return 1 if found.problems else 0
 
 
+@GROUP.command(epilog="Example: bench certificate verify 2026-0007.pdf --trust laboratory.pem.crt")
+def verify(
+    file: Annotated[Path, typer.Argument(help="Certificate, PDF or XML; the other form is found beside it.")],
+    trust: Annotated[
+        Path | None,
+        typer.Option(
+            "--trust", metavar="FILE", help="Certificates (PEM) of signers or authorities that are believed."
+        ),
+    ] = None,
+    json: JsonOption = None,
+    runs: RunsOption = RUNS,
+) -> int:
+    """Whether a certificate is intact and who signed it; shows what was signed; exit status 1 where it is not."""
+    from bench.certificate.verify.verdict import verify_certificate
+    from bench.cli.certificate_verdict import print_verdict
+
+    printing.check_target(json)
+    verdict = verify_certificate(file, trust, runs)
+    printing.write_json([verdict.to_json()], json)
+    print_verdict(verdict, printing.console(json=json))
+    return 0 if verdict.accepted else 1
+
+
 @GROUP.command(epilog="Example: bench certificate read 2026-0007.xml --out coefficients.json")
 def read(
-    file: Annotated[Path, typer.Argument(help="Digital calibration certificate (XML), anybody's.")],
+    file: Annotated[
+        Path, typer.Argument(help="Digital calibration certificate, anybody's: XML, or the PDF that has it.")
+    ],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -251,8 +276,11 @@ def read(
     from bench.api.source import check_gravity
     from bench.base.units import VOLTAGE, parse_quantity
     from bench.base.whole import to_text, write_whole
-    from bench.certificate.dcc.instrument import section_of
-    from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients
+    from bench.certificate.extra import needing_packages
+
+    with needing_packages():
+        from bench.certificate.dcc.instrument import section_of
+        from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients
 
     printing.check_target(json)
     check_gravity(g)
@@ -313,8 +341,10 @@ def _desk(
         raise Refused(f"a certificate needs {', '.join(lacking)}; a draft (--draft) needs none of them")
     schemas = None
     if schema is not None:
-        from bench.certificate.dcc.schema import read_schemas
+        from bench.certificate.extra import needing_packages
 
+        with needing_packages():
+            from bench.certificate.dcc.schema import read_schemas
         schemas = read_schemas(schema)
     signatory = None
     if key is not None:

@@ -11,6 +11,7 @@ from docs.generators import (
     commands,
     effects,
     estimators,
+    example_certificate,
     instruments,
     panel_pictures,
     procedure_files,
@@ -31,6 +32,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "effects.md": effects.page,
     "instruments.md": instruments.page,
     "estimators.md": estimators.page,
+    "example-certificate.md": example_certificate.page,
     "_rooms.md": rooms.fragment,
     "_panel.md": panel_pictures.fragment,
 }

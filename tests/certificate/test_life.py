@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -150,3 +151,47 @@ def test_what_is_missing_is_listed_and_nothing_is_issued(bench, desk):
     assert status == 2
     assert "not issued; missing: a day of receipt" in err
     assert list(Path("register").glob("SIM*")) == []
+
+
+@pytest.mark.slow
+def test_a_run_on_real_instruments_is_numbered_apart_and_says_what_it_does_without(bench, desk):
+    readings = RECORDED.parent / "readings.csv"
+    assert bench("import", readings, "--name", "mine", "--bench", RECORDED / "bench.yaml")[0] == 0
+    unit = {**ORDER["units"][0], "received": "2026-01-02", "calibrated": "2026-01-03"}
+    write_files(Path(), order={"units": [unit]})
+    status, _, err = bench("certificate", "mine", *desk)
+    assert (status, "the traceability of voltmeter.x" in err) == (2, True)
+    write_files(Path(), order={"units": [unit], "without_certificates": "a comparison in the house"})
+    assert bench("certificate", "mine", "finished", *desk)[0] == 0
+    (file,) = Path("register").glob("2*.xml")
+    assert number_in(file) == file.stem
+    assert file.stem.endswith("-0001")
+    assert len(list(Path("register").glob("SIM-*-0001.xml"))) == 1
+    root = etree.parse(file)
+    core = root.find(".//dcc:coreData", NAMESPACES)
+    assert core.findtext("dcc:beginPerformanceDate", namespaces=NAMESPACES) == "2026-01-03"
+    said = root.find(".//dcc:statement[@refType='bench_traceability']", NAMESPACES)
+    assert said.findtext("dcc:traceable", namespaces=NAMESPACES) == "false"
+    assert "a comparison in the house" in "".join(said.itertext())
+    assert root.find(".//dcc:statement[@refType='bench_simulated']", NAMESPACES) is None
+
+
+@pytest.mark.slow
+def test_coefficients_are_read_out_of_the_pdf_as_out_of_the_xml(bench, desk):
+    assert bench("certificate", "finished", *desk)[0] == 0
+    for form in ("xml", "pdf"):
+        (file,) = Path("register").glob(f"SIM-*.{form}")
+        assert bench("certificate", "read", file, "--out", f"{form}.json")[0] == 0
+    assert Path("pdf.json").read_bytes() == Path("xml.json").read_bytes()
+    status, out, _ = bench("verify", "finished", "--coefficients", "pdf.json", "--json", "-")
+    assert (status, json.loads(out)["passed"]) == (0, True)
+    assert bench("compare", "pdf.json", "finished")[0] == 0
+    Path("empty.pdf").write_bytes(b"%PDF-1.7 nothing")
+    status, _, err = bench("certificate", "read", "empty.pdf", "--out", "c.json")
+    assert (status, "a PDF that cannot be read" in err) == (2, True)
+
+
+def test_a_package_that_is_missing_is_named(bench, empty_folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "bench.certificate.dcc.instrument", None)
+    status, _, err = bench("certificate", "read", "x.xml")
+    assert (status, "pip install 'triaxial-bench[certificate]'" in err) == (2, True)

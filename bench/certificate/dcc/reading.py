@@ -6,6 +6,7 @@ import base64
 import binascii
 from collections.abc import Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +22,7 @@ from bench.base.whole import from_text
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, real_lists
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node
 from bench.certificate.dcc.rules import parser
+from bench.certificate.extra import needing_packages
 from bench.model.block import COEFFICIENTS
 
 MOST_BYTES: Final = 64_000_000
@@ -46,12 +48,14 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     """
     try:
         content = read_regular(path, MOST_BYTES)
+        if content.startswith(b"%PDF"):
+            content = _attached(path, content)
         root = etree.fromstring(content, parser())
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror})") from error
     except etree.XMLSyntaxError as error:
         raise Refused(
-            f"{path}: not XML ({error}); give the XML of a digital calibration certificate"
+            f"{path}: not XML ({error}); give the XML of a digital calibration certificate, or the PDF that has it"
         ) from None
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
         raise Refused(f"{path}: not a digital calibration certificate (DCC)")
@@ -67,6 +71,22 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     who = name_of(signed.chain[0])
     note = f"signed as {who}, intact; whose key that is, 'bench certificate verify {path} --trust FILE' tells"
     return etree.fromstring(signed.content, parser()), (note,)
+
+
+def _attached(path: Path, paper: bytes) -> bytes:
+    """Return the XML in a certificate's PDF. Raises `Refused` where there is none, or more than one."""
+    with needing_packages():
+        import pikepdf
+    try:
+        with pikepdf.open(BytesIO(paper)) as pdf:
+            found = [pdf.attachments[name] for name in pdf.attachments if name.lower().endswith(".xml")]
+            if len(found) == 1:
+                return bytes(found[0].get_file().read_bytes())
+    except (pikepdf.PdfError, KeyError, ValueError) as error:
+        raise Refused(f"{path}: a PDF that cannot be read ({error})") from error
+    raise Refused(
+        f"{path}: {len(found) or 'no'} XML files are attached to this PDF; give the certificate's XML itself"
+    )
 
 
 def has_coefficients(root: Node) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE
 from bench.analysis.calibration.verdict_words import optional_probability, probability_in_words
@@ -245,16 +246,24 @@ def _conformity(found: Found, write: Writer) -> list[Block]:
     return [
         write.heading("conformity"),
         write.table(head, rows, "llrrrlr", [0.8, 1, 0.8, 0.7, 0.5, 1.1, 1.2]),
-        write.figure(verification_points(result), "figure_points", 140.0),
+        write.figure(_drawn(verification_points, result), "figure_points", 140.0),
     ]
 
 
 def _readings(found: Found, write: Writer) -> list[Block]:
-    calibration = found.result.calibration
-    return [
-        write.heading("readings"),
-        write.figure(residuals_by_angle(calibration), "figure_residuals", 150.0),
-    ]
+    svg = _drawn(residuals_by_angle, found.result.calibration)
+    return [write.heading("readings"), write.figure(svg, "figure_residuals", 150.0)]
+
+
+_kept: dict[str, tuple[Any, str]] = {}
+
+
+def _drawn(draw: Callable[[Any], str], of: Any) -> str:
+    """Return a figure; the last one of each kind is kept, for the page is set unsigned and again signed."""
+    kept = _kept.get(draw.__name__)
+    if kept is None or kept[0] is not of:
+        _kept[draw.__name__] = kept = (of, draw(of))
+    return kept[1]
 
 
 # --- what it rests on ---------------------------------------------------------------------------------

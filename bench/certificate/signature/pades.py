@@ -127,15 +127,31 @@ def _check_cover(file: bytes, signature: Any) -> None:
     digits = gap[1:-1]
     if gap[:1] + gap[-1:] != b"<>" or len(digits) != 2 * len(content) or unhexlify(digits) != content:
         raise NotIntact("its signature leaves out more than itself")
-    if content[len(_first_value(content)) :].strip(b"\0"):
-        raise NotIntact("something stands after its signature in the place of it")
+    value = _written_anew(content)
+    if content[: len(value)] != value or content[len(value) :].strip(b"\0"):
+        raise NotIntact("something stands in the place of its signature beside it")
 
 
-def _first_value(content: bytes) -> bytes:
-    """Return the one DER value at the start of padded bytes."""
-    from asn1crypto.core import load
+def _written_anew(content: bytes) -> bytes:
+    """Return the one DER value at the start of padded bytes as it is written by the rules, lengths and all."""
+    from asn1crypto.cms import ContentInfo
 
-    return bytes(load(content, strict=False).dump())
+    return bytes(ContentInfo.load(content, strict=False).dump(force=True))
+
+
+def _check_wrapping(data: Any, signer: Any) -> None:
+    """Raise `NotIntact` where what the signature does not cover of its own wrapping is not as it was made.
+
+    That are versions and a list of algorithms (RFC 5652, 5.1, 5.3), which readers look at or not.
+    """
+    from asn1crypto.algos import DigestAlgorithm
+    from asn1crypto.core import Null
+
+    sha256 = DigestAlgorithm({"algorithm": "sha256", "parameters": Null()}).dump()
+    algorithms = [one.dump() for one in (*data["digest_algorithms"], signer["digest_algorithm"])]
+    versions = [data["version"].native, signer["version"].native]
+    if algorithms != [sha256, sha256] or versions != ["v1", "v1"] or signer["unsigned_attrs"].native:
+        raise NotIntact("its signature is not wrapped as one of PAdES, baseline B-B, with SHA-256 is")
 
 
 def _who(signature: Any) -> SignedPdf:
@@ -144,6 +160,7 @@ def _who(signature: Any) -> SignedPdf:
     from pyhanko.sign.validation import validate_pdf_signature
     from pyhanko_certvalidator import ValidationContext
 
+    _check_wrapping(signature.signed_data, signature.signer_info)
     if signature.sig_object.get("/SubFilter") != SigSeedSubFilter.PADES.value:
         raise NotIntact("its signature is of another kind than PAdES")
     when = signature.self_reported_timestamp

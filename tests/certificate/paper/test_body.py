@@ -14,7 +14,6 @@ from bench.certificate.content import Before, Issue, Item
 from bench.certificate.gather import certificate_of
 from bench.certificate.laboratory import Person, load_laboratory
 from bench.certificate.order import load_order
-from bench.certificate.paper import proof
 from bench.certificate.paper.body import body_of
 from bench.certificate.paper.check import faults_of
 from bench.certificate.signature.pades import check_pdf, sign_pdf
@@ -37,21 +36,6 @@ def certificate(tmp_path_factory):
     )
     issue = Issue(NUMBER, "2026-11-22T18:00:00+02:00", Person(name="A. Example", role="head"))
     return certificate_of("finished", folder / "runs", load_laboratory(laboratory), load_order(order), issue)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def drawn_once():
-    """Draw each figure once for all pages of this file."""
-    kept = {}
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("residuals_by_angle", "verification_points"):
-            draw = getattr(proof, name)
-            patch.setattr(
-                proof,
-                name,
-                lambda of, n=name, d=draw: kept.setdefault(n, None) or kept.update({n: d(of)}) or kept[n],
-            )
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -258,6 +258,15 @@ def test_the_place_of_the_signature_hides_nothing(signed_pdf):
             check_pdf(changed)
 
 
+@pytest.mark.parametrize("byte", [3, 25, 26, 28, 31, 40, 42])
+def test_what_wraps_the_signature_is_as_it_was_made(signed_pdf, byte):
+    """Versions and the list of algorithms of the CMS are not signed; a campaign of changes found them open."""
+    at = gap_of(signed_pdf)[0] + 1 + 2 * byte + 1
+    digit = b"%x" % (int(signed_pdf[at : at + 1], 16) ^ 1)
+    with pytest.raises(NotIntact):
+        check_pdf(signed_pdf[:at] + digit + signed_pdf[at + 1 :])
+
+
 @pytest.mark.parametrize("at", [20, 400, -30, -600])
 def test_a_byte_of_a_signed_file_cannot_be_changed(signed_pdf, at):
     changed = bytearray(signed_pdf)

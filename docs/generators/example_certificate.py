@@ -1,0 +1,88 @@
+"""The certificate that the documentation shows: of a dry run, issued and signed when the site is built."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import tempfile
+from pathlib import Path
+from typing import Final
+
+_PAGE: Final = """\
+# An example of a certificate
+
+It is made when this site is built: a dry run of the paper's procedure, the laboratory and order files that
+`bench init` writes, in two languages, signed with a key that is made for it and thrown away. So it says on every
+page that it is simulated, and its number is one of the series `SIM-`. [Certificates](../certificates.md) says
+what stands where.
+
+```{include} _example-certificate.md
+```
+"""
+_FILES: Final = "example"
+_PART: Final = """\
+`bench certificate verify` says of it: *{headline}*. The files: [PDF]({files}/certificate.pdf) with all that is
+attached, [XML]({files}/certificate.xml).
+
+{pictures}
+"""
+
+
+def page() -> str:
+    """Return the page; what it shows is written by `write_example`."""
+    return _PAGE
+
+
+def write_example(reference: Path) -> None:
+    """Write both forms of a certificate, pictures of its pages and the part of the page that shows them."""
+    from bench.certificate.verify.verdict import verify_certificate
+
+    folder = reference / _FILES
+    folder.mkdir(parents=True, exist_ok=True)
+    for stale in folder.glob("page-*.png"):
+        stale.unlink()
+    with tempfile.TemporaryDirectory() as temporary:
+        xml, pdf, pages = _made(Path(temporary))
+    (folder / "certificate.xml").write_bytes(xml)
+    (folder / "certificate.pdf").write_bytes(pdf)
+    for number, picture in enumerate(pages, 1):
+        (folder / f"page-{number}.png").write_bytes(picture)
+    names = [f"![Page {n} of the certificate]({_FILES}/page-{n}.png)" for n in range(1, len(pages) + 1)]
+    headline = verify_certificate(folder / "certificate.pdf", None, folder / "none").headline
+    part = _PART.format(headline=headline, files=_FILES, pictures="\n\n".join(names))
+    (reference / "_example-certificate.md").write_text(part, encoding="utf-8")
+
+
+def _made(folder: Path) -> tuple[bytes, bytes, list[bytes]]:
+    """Return the signed forms of a certificate, and its pages as pictures (PNG)."""
+    from bench.certificate.content import Issue
+    from bench.certificate.dcc.document import document_of
+    from bench.certificate.gather import certificate_of, issued_at
+    from bench.certificate.laboratory import load_laboratory
+    from bench.certificate.order import load_order
+    from bench.certificate.paper.body import body_of, pictures_of
+    from bench.certificate.signature.pades import sign_pdf
+    from bench.certificate.signature.signatory import new_certificate_key, signatory_of
+    from bench.certificate.signature.xades import sign_xml
+    from bench.cli.app import main
+    from bench.files.shipped import CERTIFICATE, shipped_folder
+    from drivers.clock import utc_now
+
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+        main(["run", "paper", "--dry-run", "--name", "unit-17", "--runs", str(folder / "runs")])
+    now = utc_now()
+    shipped = shipped_folder(CERTIFICATE)
+    written = (shipped / "laboratory.yaml").read_text(encoding="utf-8")
+    (folder / "laboratory.yaml").write_text(
+        written.replace("language: en ", "language: [en, de] "), encoding="utf-8"
+    )
+    laboratory = load_laboratory(folder / "laboratory.yaml")
+    issue = Issue("SIM-2026-0001", issued_at(now), laboratory.authorised[0])
+    order = load_order(shipped / "order.yaml")
+    certificate = certificate_of("unit-17", folder / "runs", laboratory, order, issue)
+    key = folder / "keys" / "laboratory.pem"
+    new_certificate_key(key, laboratory.name, None, now)
+    signatory = signatory_of(str(key), None, lambda: b"", now)
+    xml = sign_xml(document_of(certificate), signatory, now)
+    pdf = sign_pdf(body_of(certificate, xml), signatory, now, certificate.number, certificate.place)
+    return xml, pdf, pictures_of(certificate, xml)
