@@ -18,7 +18,8 @@ test-quick: $(STAMP)
 
 # The panel in the system's Chromium; without one it says so, and fails.
 test-browser: $(VENV)/.driving
-	$(VENV)/bin/python -m pytest -m browser tests/browser
+	$(VENV)/bin/python -m tests.support.browsers
+	$(PYTEST) -m browser tests/browser
 
 $(VENV)/.driving: $(STAMP)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[browser]'

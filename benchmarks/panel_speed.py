@@ -252,13 +252,14 @@ def first_paints(browser: Any) -> dict[str, float]:
                 times = []
                 for _ in range(5):
                     page.goto(panel.url + path)
-                    page.wait_for_function(f"({PAINT})() !== null")
+                    page.wait_for_function(PAINTED)
                     times.append(page.evaluate(PAINT) / 1e3)
                 found[path] = max(times)
             page.close()
     return found
 
 
+PAINTED: Final = """() => performance.getEntriesByName("first-contentful-paint").length > 0"""
 PAINT: Final = """() => {
     const found = performance.getEntriesByName("first-contentful-paint");
     return found.length ? found[0].startTime : null;

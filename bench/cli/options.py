@@ -181,6 +181,13 @@ AnswersOption = Annotated[
         help="Where a person answers the questions, also those of a dry run: terminal, or folder (the run's).",
     ),
 ]
+PanelOption = Annotated[
+    bool,
+    typer.Option(
+        "--panel",
+        help="Open the operator's panel for this run and print its link; a dry run's questions are asked, too.",
+    ),
+]
 GravityOption = Annotated[
     float | None,
     typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),

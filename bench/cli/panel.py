@@ -53,11 +53,7 @@ def panel(
     runs: RunsOption = RUNS,
 ) -> int:
     """Serve the operator's panel over a folder of runs; make the tokens of who may come in."""
-    try:
-        import starlette  # noqa: F401 - only whether it is there
-        import uvicorn  # noqa: F401
-    except ImportError as error:
-        raise Refused(MISSING.format(error.name)) from error
+    refuse_without_packages()
     from bench.panel.serving import serve
     from bench.panel.settings import Settings
 
@@ -65,6 +61,29 @@ def panel(
         return _of_people(what, name, role, runs)
     serve(Settings(runs, host, port, address.rstrip("/"), laboratory), printing.console().print)
     return 0
+
+
+def refuse_without_packages() -> None:
+    """Raise `Refused` where a package of the panel is missing."""
+    try:
+        import starlette  # noqa: F401 - only whether it is there
+        import uvicorn  # noqa: F401
+    except ImportError as error:
+        raise Refused(MISSING.format(error.name)) from error
+
+
+def link_to(run: str, runs: Path) -> str:
+    """Return a link to the page of a run, in a panel that is begun where there is none. Raises `Refused`."""
+    refuse_without_packages()
+    from urllib.parse import quote
+
+    from bench.panel.serving import open_panel
+    from bench.run.manifest import RecordError
+
+    try:
+        return open_panel(runs, f"/runs/{quote(run)}/")
+    except RecordError as error:
+        raise Refused(str(error)) from error
 
 
 def _of_people(what: What, name: str | None, role: str, runs: Path) -> int:

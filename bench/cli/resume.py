@@ -6,7 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.cli import printing
-from bench.cli.options import RUNS, AnswersOption, JsonOption, LatestRun, RunsOption, WireLogOption, app
+from bench.cli.options import (
+    RUNS,
+    AnswersOption,
+    JsonOption,
+    LatestRun,
+    PanelOption,
+    RunsOption,
+    WireLogOption,
+    app,
+)
+from bench.cli.panel import link_to
 from bench.cli.run import conclude, is_away
 
 if TYPE_CHECKING:
@@ -21,6 +31,7 @@ def resume(
     name: LatestRun = None,
     wire_log: WireLogOption = None,
     answers: AnswersOption = None,
+    panel: PanelOption = False,
     json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
@@ -34,10 +45,12 @@ def resume(
     from drivers.wire.log import logged_wire
 
     printing.check_target(json)
-    away = is_away(answers)
+    away = is_away(answers, panel=panel)
     found = unfinished_run(name, runs)
     refuse_missing_devices(found)
     out = printing.console(json=json)
+    if panel:
+        out.print(f"panel: {link_to(found.name, found.folder.parent)}", soft_wrap=True)
     with (
         logged_wire(wire_log) as wire,
         Interrupts() as interrupts,

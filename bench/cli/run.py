@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -17,12 +18,14 @@ from bench.cli.options import (
     JsonOption,
     LimitOption,
     ModelOption,
+    PanelOption,
     ProcedureArgument,
     RuleOption,
     RunsOption,
     WireLogOption,
     app,
 )
+from bench.cli.panel import link_to
 
 if TYPE_CHECKING:
     from bench.api.source import Source
@@ -51,6 +54,7 @@ def run(
         bool, typer.Option("--follow", help="Then diagnose, and run at once what would tell more.")
     ] = False,
     answers: AnswersOption = None,
+    panel: PanelOption = False,
     json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
@@ -68,9 +72,9 @@ def run(
     if model is not None and not dry_run:
         raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
 
-    away = is_away(answers)
+    away = is_away(answers, panel=panel)
     if follow and away:
-        raise Refused("--follow asks at the terminal before it measures further: leave --answers folder out")
+        raise Refused("--follow asks at the terminal before it measures further: it wants --answers terminal")
 
     verdict: VerdictAsked | None = None
     if (limit, rule, guard_band) != (None, None, None):
@@ -101,12 +105,14 @@ def run(
             unit=unit,
             model=model,
             verdict=verdict,
-            living=dry_run and answers is not None,
+            living=dry_run and (panel or answers is not None),
         )
         out = printing.console(json=json)
         if json != "-":
             out.print(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}")
         printing.notes_on(out, new.notes)
+        if panel:
+            out.print(f"panel: {link_to(new.folder.name, runs)}", soft_wrap=True)
         with (
             logged_wire(wire_log) as wire,
             Interrupts() as interrupts,
@@ -130,11 +136,14 @@ def run(
     )
 
 
-def is_away(answers: str | None) -> bool:
-    """Whether questions are answered in the run's folder alone. Raises `Refused` for another place."""
+def is_away(answers: str | None, *, panel: bool) -> bool:
+    """Whether questions are answered in the run's folder alone. Raises `Refused` for a place that is none.
+
+    With a `panel`, and no terminal to type at, they are.
+    """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: questions are answered at the terminal or in the folder")
-    return answers == "folder"
+    return answers == "folder" or (panel and answers is None and not sys.stdin.isatty())
 
 
 def conclude(run: Run, target: str | None = None) -> int:

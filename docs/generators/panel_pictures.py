@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from bench.panel.access.people import Role
 
+THERE: Final = Path(__file__).parents[1] / "reference"
 FOLDER: Final = "panel"
 TURNS: Final = 13
 """So many angles are answered before the picture of the live page."""
@@ -42,8 +43,7 @@ def write_pictures(folder: Path) -> None:
 
 def fragment() -> str:
     """Return the pictures as a part of a page."""
-    there = Path(__file__).parents[1] / "reference" / FOLDER
-    if not all((there / f"{name}.png").is_file() for name in PICTURES):
+    if not all((THERE / FOLDER / f"{name}.png").is_file() for name in PICTURES):
         return "*There are no pictures here: no Chromium was found when this site was built.*"
     return "\n\n".join(
         f"![{words}](reference/{FOLDER}/{name}.png)\n\n*{words}*" for name, words in PICTURES.items()

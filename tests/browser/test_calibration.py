@@ -28,7 +28,7 @@ def readings(run):
 
 
 def test_answers_typed_in_a_browser_are_worth_those_of_the_terminal(visit, panel, begin):
-    run = begin("browser", "quick", "folder")
+    run, terminal = begin("browser", "quick", "folder"), begin("terminal", "quick", "terminal")
     run.wait_for_events()
     page = visit("/runs/browser/", viewport={"width": 1280, "height": 900})
     page.click("text=Take control")
@@ -38,13 +38,9 @@ def test_answers_typed_in_a_browser_are_worth_those_of_the_terminal(visit, panel
         assert asked["id"] == asked_id
         typed.append(typed_for(asked, len(typed)))
         answer_on(page, typed[-1])
-    assert run.ended()[0] == 0
+        terminal.type(typed[-1])
     page.wait_for_selector("text=The run is finished.")
-
-    terminal = begin("terminal", "quick", "terminal")
-    for line in typed:
-        terminal.type(line)
-    assert terminal.ended()[0] == 0
+    assert run.ended()[0] == terminal.ended()[0] == 0
     assert len(readings(run)) == 22
     assert readings(run) == readings(terminal)
     for file in ("calibrate.json", "verify.json"):

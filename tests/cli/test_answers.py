@@ -1,16 +1,26 @@
 """Dry runs whose questions a person answers: at the terminal or in the run's folder, the readings are the same."""
 
+import io
+import json
 import threading
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 
+from bench.cli.resume import _accept_changes
 from bench.run import asking
+from bench.run.answers import LeftAnswer, leave_answer
+from bench.run.asking import Asker
 from bench.run.control import RunControl, Who, leave_wish
 from bench.run.folder import Run
 from bench.run.states import Wish
 from benchmarks.answering_campaign import Hands, amiss, answer_to, one
 from benchmarks.kill_campaign import differences
+from drivers.interfaces import BenchError
+from tests.support.schemas import keeps_to
 
 POINTS = """\
 procedure: points
@@ -109,8 +119,41 @@ def test_a_place_that_is_none_is_refused(bench, points):
     assert "--follow asks at the terminal" in bench(*RUN, "--answers", "folder", "--follow")[2]
 
 
+def test_a_run_with_a_panel_prints_the_link_to_its_page_and_is_answered_there(points, monkeypatch):
+    monkeypatch.setattr(
+        "bench.panel.serving.open_panel", lambda runs, after: f"http://127.0.0.1:1/{runs.name}{after}"
+    )
+    run, (status, out, _) = points("one", *RUN, "--name", "one", "--panel")
+    assert status == 0
+    assert "panel: http://127.0.0.1:1/runs/runs/one/" in out
+    assert {e.data["where"] for e in run.history.events if e.type == "answered"} == {"panel"}
+
+
+@pytest.mark.parametrize("answer", ["yes", "no"])
+def test_files_that_were_changed_before_a_run_goes_on_are_asked_about_in_the_folder_too(tmp_path, answer):
+    (tmp_path / "mine.yaml").write_text("new")
+    (tmp_path / "procedure.yaml").write_text("old")
+    run = SimpleNamespace(
+        folder=tmp_path, simulated=False, manifest={"procedure": str(tmp_path / "mine.yaml"), "bench": ""}
+    )
+    asked = []
+
+    def tell(kind, data):
+        if kind == "asked":
+            asked.append(data)
+            leave_answer(tmp_path, LeftAnswer(data["id"], answer, Who("Ann", "operator", "panel")))
+
+    asker = Asker(tmp_path, SimpleNamespace(count=41), tell)
+    with nullcontext() if answer == "yes" else pytest.raises(BenchError, match="answered no"):
+        _accept_changes(run, asker, Console(file=io.StringIO()))
+    assert asked[0]["id"] == "changed#1@42"
+    assert "mine.yaml was changed since the run began. Go on" in asked[0]["text"]
+
+
 def test_show_and_log_tell_who_answered_what(points, bench):
     points("one", *RUN, "--name", "one", "--answers", "folder")
+    for line in Path("runs/one/events.jsonl").read_text(encoding="utf-8").splitlines():
+        keeps_to("event", json.loads(line))
     status, out, _ = bench("show", "one")
     assert status == 0
     assert "asked: Which cable is it?" in out

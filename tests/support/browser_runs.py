@@ -14,7 +14,7 @@ from typing import Any
 from bench.run.manifest import EVENTS
 
 PROGRAM = "from bench.cli.program import main; main()"
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 
 
 class Begun:

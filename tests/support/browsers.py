@@ -28,3 +28,7 @@ def what_is_missing(path: str | None = None) -> str:
             f"path: install one (apt install chromium), or name it in {NAMED}"
         )
     return ""
+
+
+if __name__ == "__main__":
+    raise SystemExit(what_is_missing() or None)

@@ -97,7 +97,7 @@ def diagnose(
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
-    described = tuple(noise_kinds(linear, noise, looked.weighed, digit))
+    described = tuple(noise_kinds(linear, noise, looked.weighed, digit, looked.slow))
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit)
     of_copy = _verdict(False, effects, findings, gap)
     instead: tuple[int, ...] = ()

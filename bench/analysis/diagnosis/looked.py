@@ -20,11 +20,12 @@ from bench.analysis.diagnosis.candidates import Candidates, make_candidates
 from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.naming import MOST_EFFECTS, Naming, name
+from bench.analysis.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
 from bench.analysis.diagnosis.noise_grid import RATIOS, NoiseGrid, make_noise_grid
 from bench.analysis.diagnosis.posterior import fit_found, noise_size
 from bench.analysis.diagnosis.repeats import Repeats, noise_of_repeats
 from bench.analysis.diagnosis.rounding import is_rounded, with_rounding
+from bench.analysis.diagnosis.slow_noise import SlowNoise, slow_noise, with_slow_noise
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.weighing import WeighedDown, weigh_down
 from bench.base.arrays import Floats
@@ -50,7 +51,7 @@ class Looked:
     """Readings made linear, the candidates in units of the noise, what is needed of the data, the threshold.
 
     `bend` (N,) is what was taken off the response because the readings are not linear in what was found,
-    `weighed` what was because the noise has heavy tails.
+    `weighed` what was because the noise has heavy tails; `slow` is noise that is among what is random.
     """
 
     linear: LinearSystem
@@ -61,6 +62,7 @@ class Looked:
     limit: Threshold
     bend: Floats
     weighed: WeighedDown | None = None
+    slow: tuple[SlowNoise, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def look(
 
     The channels have noise of one size at first. What is left beside all that was found says whether they have:
     never what is left beside nothing, which a slip makes large in one channel. If not, all is looked for again.
-    Nor has the noise heavy tails at first; where it has, readings far out are weighed down.
+    Nor has the noise heavy tails at first; where it has, readings far out are weighed down. Nor is it slow.
 
     `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
     `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
@@ -101,6 +103,7 @@ def look(
     """
     task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
     looked, naming = _noise_looked_at(task, *_straight(task, _prepared(task, task.linear(readings))))
+    looked, naming = _beside_slow_noise(task, looked, naming)
     return looked, _closer(task, looked, naming)
 
 
@@ -140,6 +143,23 @@ def _own_sizes_instead(task: _Task, looked: Looked, naming: Naming) -> tuple[Loo
     if told.evidence < sum(found.total for found in naming.found):
         return looked, naming
     return _straight(task, _prepared(task, replace(looked.linear, by_channel=told.sizes)))
+
+
+def _beside_slow_noise(task: _Task, looked: Looked, naming: Naming) -> tuple[Looked, Naming]:
+    """Look for all again beside slow noise, where that explains the readings better than all that was found does.
+
+    What is found clearly is there: never does it pass for slow noise.
+    """
+    strongest = max((found.total for found in naming.found), default=-np.inf)
+    if looked.whitened.grid.known or strongest > looked.limit.value + CLEAR:
+        return looked, naming
+    slow = slow_noise(looked.linear, looked.whitened, Scored.beside(looked.whitened, looked.data, ()).ratio)
+    if not slow or sum(one.odds for one in slow) < sum(found.evidence for found in naming.found):
+        return looked, naming
+    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    again = _prepared(task, with_slow_noise(looked.linear, slow), looked.limit, noise.reading)
+    again = replace(again, bend=looked.bend, weighed=looked.weighed, slow=slow)
+    return again, name(again.whitened, again.data, again.limit)
 
 
 def _closer(task: _Task, looked: Looked, naming: Naming) -> Naming:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.posterior import NoiseSize
 from bench.analysis.diagnosis.rounding import is_coarse
+from bench.analysis.diagnosis.slow_noise import SlowNoise
 from bench.analysis.diagnosis.weighing import WeighedDown
 from bench.base.arrays import CHANNELS
 from bench.base.numbers import quantity
@@ -17,14 +18,18 @@ from bench.base.numbers import quantity
 
 @dataclass(frozen=True)
 class NoiseKind:
-    """One thing that the noise is: "channels" of unequal noise, heavy "tails", a coarse "resolution"."""
+    """One thing that the noise is: unequal "channels", heavy "tails", "slow" noise, a coarse "resolution"."""
 
     what: str
     words: str
 
 
 def noise_kinds(
-    linear: LinearSystem, noise: NoiseSize, weighed: WeighedDown | None, digit: float
+    linear: LinearSystem,
+    noise: NoiseSize,
+    weighed: WeighedDown | None,
+    digit: float,
+    slow: Sequence[SlowNoise] = (),
 ) -> Iterator[NoiseKind]:
     """Yield what the noise is beside normal and of one size; `digit` is the step of the signals' last digit."""
     unit = linear.readings.unit
@@ -37,6 +42,13 @@ def noise_kinds(
             "tails",
             f"the noise has heavier tails than a normal one: {weighed.readings} readings are weighed down, and an "
             "outlier is named only where it is far beyond them",
+        )
+    if slow:
+        told = ", ".join(f"{quantity(one.size, unit)} in {CHANNELS[one.channel]}" for one in slow)
+        yield NoiseKind(
+            "slow",
+            f"beside the noise of a reading there is slow noise, over the run {told} (root mean square): a drift "
+            "that is no larger stays hidden in it, and the u of the coefficients holds it",
         )
     if is_coarse(digit, noise.reading):
         yield NoiseKind(

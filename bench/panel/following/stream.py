@@ -47,7 +47,7 @@ class Shared:
     def __init__(self, folder: Path, add: Add) -> None:
         self._folder, self._add = folder, add
         self._follower: Follower | None = None
-        self._changed = asyncio.Condition()
+        self._news = asyncio.Event()
         self._added: dict[str, Any] = {}
         self.version = 0
         self.points = Points()
@@ -73,9 +73,9 @@ class Shared:
 
     async def wait(self, version: int) -> bool:
         """Wait until something is new to who saw this version, a heartbeat at most; say whether something is."""
-        async with self._changed:
+        if self.version == version:
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._changed.wait_for(lambda: self.version != version), BEAT_S)
+                await asyncio.wait_for(self._news.wait(), BEAT_S)
         return self.version != version
 
     async def _follow(self) -> None:
@@ -87,9 +87,9 @@ class Shared:
             except Exception as error:  # a defect of ours must not leave a page that looks alive
                 news, self.trouble = not self.trouble, f"the panel cannot follow this run any more: {error!r}"
             if news:
-                async with self._changed:
-                    self.version += 1
-                    self._changed.notify_all()
+                self.version += 1
+                told, self._news = self._news, asyncio.Event()
+                told.set()
             self._ready.set()
             if self.trouble:
                 return
