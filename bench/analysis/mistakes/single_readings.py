@@ -63,9 +63,9 @@ STANDS_OUT: Final = 3.5
 """Least size, in standard deviations, of a mistake beside the descriptions that are freer than needed."""
 EXPLAINED: Final = 1e-4
 """A kind of mistake explains a reading if what it leaves has a p above this."""
-TAILS_ODDS: Final = -1.0
-"""Nearer outliers are tails where ln of the odds for them is more: taken for noise they are weighed down and do
-little harm, taken for mistakes they are left out and alleged."""
+TAILS_ODDS: Final = -2.5
+"""Nearer outliers are tails where ln of the odds for them is more (12 to 1 against): taken for noise they are
+weighed down and do little harm, taken for mistakes they are left out and alleged."""
 OF_READING: Final = 0.5
 """A channel tells of the noise of readings where no more of its scatter is along du/dphi."""
 DIRECTIONS: Final = 4
