@@ -52,7 +52,7 @@ def panel(
     ] = None,
     runs: RunsOption = RUNS,
 ) -> int:
-    """Serve the operator's panel over a folder of runs; make the tokens of who may come in."""
+    """Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in."""
     refuse_without_packages()
     from bench.panel.serving import serve
     from bench.panel.settings import Settings

@@ -177,6 +177,7 @@ def test_a_disk_that_is_too_full_is_a_problem(bench, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.figures
 def test_what_a_dry_run_wrote_is_within_what_was_foreseen(bench):
     plan = load_procedure(find_procedure("quick")).plan
     assert bench("run", "quick", "--dry-run", "--name", "q")[0] in {0, 1}

@@ -211,6 +211,7 @@ def readings_files(folder):
 
 
 @pytest.mark.slow
+@pytest.mark.figures
 def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_path):
     readings_files(tmp_path)
     bench("calibrate", "r0.csv", "--json", "r0.json")
