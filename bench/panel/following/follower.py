@@ -55,8 +55,10 @@ class Follower:
 
     def look(self) -> bool:
         """Read what is new; say whether what is told of the run has changed. Raises `RecordError`."""
-        changed = self._look_for_writer()
-        if self._tail.grown():
+        grown = self._tail.grown()
+        # what comes where nobody was thought to write is another program's: its question is to be heard
+        changed = self._look_for_writer(at_once=grown and not self._alive)
+        if grown:
             for event in self._tail.new():
                 self._seen.take(event)
                 self._residuals.note(event)
@@ -97,10 +99,10 @@ class Follower:
         """Return the readings against their predictions as they are now."""
         return Points(self._residuals.version, tuple(self._residuals.points))
 
-    def _look_for_writer(self) -> bool:
-        """Look now and then whether the run is carried out; say whether that has changed."""
+    def _look_for_writer(self, *, at_once: bool) -> bool:
+        """Look now and then, or at once, whether the run is carried out; say whether that has changed."""
         now_s = self._clock.now_s()
-        if now_s - self._looked_s < LOOK_S:
+        if not at_once and now_s - self._looked_s < LOOK_S:
             return False
         self._looked_s, before = now_s, self._alive
         self._alive = is_being_written(self._folder)

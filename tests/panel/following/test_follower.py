@@ -198,6 +198,24 @@ def test_a_question_of_a_program_that_is_gone_is_none_even_when_another_goes_on(
     record.close()
 
 
+def test_a_question_that_is_asked_before_its_program_was_looked_for_stands(growing, lines):
+    """Whether somebody writes is looked for once a second: another program may have asked by then."""
+    append(growing, b"".join(lines[:40]))
+    clock = VirtualClock()
+    follower = Follower(growing, clock)
+    follower.look()
+    record, _ = Record.reopen(growing, utc_now)
+    record.append("run_resumed", 2.0, step=1, instruments={})
+    record.append("asked", 2.0, id="1", kind="confirm", text="Done?", action={"do": "answer"})
+    clock.sleep(0.1)
+    follower.look()
+    assert follower.prompt is not None
+    clock.sleep(2.0)
+    follower.look()
+    assert follower.prompt is not None
+    record.close()
+
+
 def test_of_a_long_record_the_beginnings_of_old_steps_are_passed_over_and_nothing_is_told_otherwise(
     growing, lines, monkeypatch
 ):
