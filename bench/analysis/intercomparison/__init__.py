@@ -1,1 +1,1 @@
-"""Many units on many benches: crossed effects of both, degrees of equivalence, what a type and a history foretell."""
+"""Many units on many benches: crossed effects, degrees of equivalence, what a type and a history foretell."""
