@@ -140,6 +140,8 @@ def diagnose(
         left_open=left_open(linear, candidates, naming, others, fitted, noise),
         noise=noise,
         p_left=p_left,
+        whitened=whitened,
+        data=data,
         findings=findings,
         noise_kinds=described,
         notes=(
