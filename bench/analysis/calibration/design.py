@@ -268,7 +268,7 @@ class Problem:
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def _read(self, model: ForwardModel, block: Block, stand: Floats, force: Floats | None) -> Floats:
-        """Return the readings (n, 3) that a model predicts; where it is known by now, for the `force` (n, 3) that acts."""
+        """Return the readings (n, 3) of a model; for the specific `force` (n, 3) that acts, where it is known."""
         if force is None:
             return model.readings(block, self.conditions, stand)
         return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)

@@ -107,7 +107,9 @@ class Whitened:
         """Variants with equally many columns: their numbers (v,), columns (v, p), Gram (ratios, v, p, p)."""
         if self.part_of is not None:
             whole, ratio = self.part_of
-            return tuple((members, columns, gram[ratio : ratio + 1]) for members, columns, gram in whole.blocks)
+            return tuple(
+                (members, columns, gram[ratio : ratio + 1]) for members, columns, gram in whole.blocks
+            )
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
