@@ -71,12 +71,15 @@ class Whitened:
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
-    def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
-        """Whiten the columns of all candidates."""
+    def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
+        """Whiten the columns of all candidates; with `few_known` no products are made but what models need."""
         rows, many = candidates.columns.shape
         scaled = candidates.columns / grid.sigma
-        if many > rows:
-            return cls(grid, candidates, OfColumns(np.stack([white @ scaled for white in grid.white])))
+        if many > rows or few_known:
+            whitened = np.empty((len(grid.white), rows, many))
+            for ratio, white in enumerate(grid.white):
+                whitened[ratio] = white @ scaled
+            return cls(grid, candidates, OfColumns(whitened))
         gram = np.empty((len(grid.white), many, many))
         for ratio, white in enumerate(grid.white):
             columns = white @ scaled
