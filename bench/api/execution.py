@@ -21,6 +21,7 @@ from bench.api.provenance import versions
 from bench.api.simulated_truth import simulated_truth
 from bench.api.taken import bench_path, why_taken
 from bench.api.traceability import remarks
+from bench.api.until import chooser_of, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -88,11 +89,12 @@ def new_run(
     model: Path | None = None,
     verdict: VerdictAsked | None = None,
     living: bool = False,
+    until: Sequence[str] = (),
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
 
     `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's. A person
-    answers the questions of a `living` dry run.
+    answers the questions of a `living` dry run. `until` are the goals at which it ends.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -144,6 +146,9 @@ def new_run(
         manifest["devices"] = foreign
     if verdict:
         manifest["verdict"] = verdict
+    if until:
+        chooser_of(plan, file, until)
+        manifest["until"] = [*until]
     return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
 
 
@@ -243,6 +248,7 @@ def carry_out(
     watcher = watcher_of(run.plan, bench)
     if history:
         watcher.recall(history.taken[-MOST_RECALLED:], history.progress)
+    until = until_of(run, bench)
     where = "simulated instruments" if run.simulated else "the bench"
     verb = "goes on" if resume else "starts"
     if not quiet.get():
@@ -253,6 +259,7 @@ def carry_out(
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
         with _assembly(run, bench, history, wire, out, signals.haste, heard.asker) as (assembly, bar):
+            bar.recall(history.progress.chosen if history else ())
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -281,6 +288,7 @@ def carry_out(
                 hold_signals=signals.hold,
                 certificates=_on_certificates(bench, simulated=run.simulated),
                 fed=_fed(bench),
+                choose=until or (lambda index, progress: None),
             ).run(resume)
         _refuse_renamed(record)
     except RunAborted as why:

@@ -22,6 +22,7 @@ from bench.cli.options import (
     ProcedureArgument,
     RuleOption,
     RunsOption,
+    UntilOption,
     WireLogOption,
     app,
 )
@@ -49,6 +50,7 @@ def run(
     rule: RuleOption = None,
     guard_band: GuardBandOption = None,
     model: ModelOption = None,
+    until: UntilOption = None,
     wire_log: WireLogOption = None,
     follow: Annotated[
         bool, typer.Option("--follow", help="Then diagnose, and run at once what would tell more.")
@@ -73,6 +75,7 @@ def run(
         raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
 
     away = is_away(answers, panel=panel)
+    asked_for = procedure
     if follow and away:
         raise Refused("--follow asks at the terminal before it measures further: it wants --answers terminal")
 
@@ -106,6 +109,7 @@ def run(
             model=model,
             verdict=verdict,
             living=dry_run and (panel or answers is not None),
+            until=until or () if procedure == asked_for else (),
         )
         out = printing.console(json=json)
         if json != "-":
