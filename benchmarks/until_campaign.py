@@ -3,14 +3,15 @@
     python -m benchmarks.until_campaign --runs 2500 --seed 1 --workers 2
     python -m benchmarks.until_campaign --runs 500 --seed 2 --goal vector=6.83e-5
 
-Each run draws a size of the noise (a part of what the bench file states, `--noise`, equally often), a block near the
-paper's and a stand, and takes the readings that `bench.analysis.planning.until` chooses from the paper's procedure, look
-by look, as `bench run --until` does; geometry and noise are not the application's. Stopping is by what a calibration
-of the readings so far states. Printed, for all and by noise: rms of z = (estimate - truth)/u over the twelve
-coefficients at the stop (wanted: 0.93 to 1.07) with its standard error over runs, k = 2 coverage (wanted: 0.93 at
-least), the runs that reached the goal, settings, mean bench time over that of the best fixed plan for the same
-goal that knows the noise (wanted: 1.10 at most), and the same without warm-up and verification. Beside it z of the same
-number of readings fixed before: what stopping itself does. The noise of the data is that of the readings and of the head.
+Each run draws a size of the noise (a part of what the bench file states, `--noise`, equally often), a block
+near the paper's and a stand, and takes the readings that `bench.analysis.planning.until` chooses from the
+paper's procedure, look by look, as `bench run --until` does; geometry and noise are not the application's.
+Stopping is by what a calibration of the readings so far states. Printed, for all and by noise: rms of z =
+(estimate - truth)/u over the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error
+over runs, k = 2 coverage (wanted: 0.93 at least), the runs that reached the goal, settings, mean bench time
+over that of the best fixed plan for the same goal that knows the noise (wanted: 1.10 at most), and the same
+without warm-up and verification. Beside it z of the same number of readings fixed before: what stopping
+itself does. The noise of the data is that of the readings and of the head.
 """
 
 from __future__ import annotations
@@ -164,19 +165,22 @@ def best_fixed(chooser: Chooser, scale: float, repeats: int = LEAST_REPEATS) -> 
     def design(counts: np.ndarray) -> KnownNoise:
         return KnownNoise(task.candidates, task.goals, counts, counts * 0, most)
 
-    found = design(most * 0)
-    while not found.is_enough(least) and not found.is_full:
-        if found.largest > 1 or not found.add_repeat():
-            found.add_best()
-    found.drop_needless(least)
-    reached = found.counts.copy()
-    while True:
-        found.drop_least()
-        if found.largest > 1 or found.repeats < least:
-            found.exchange()
-        if not found.is_enough(least):
-            break
+    def shrunk(wide: bool) -> np.ndarray:
+        found = design(most * 0)
+        while not found.is_enough(least) and not found.is_full:
+            first = found.largest > 1 if wide else not found.determined
+            if first or found.repeats >= least or not found.add_repeat():
+                found.add_best()
+        found.drop_needless(least)
         reached = found.counts.copy()
+        while found.is_enough(least):
+            reached = found.counts.copy()
+            found.drop_least()
+            if not found.is_enough(least):
+                found.exchange()
+        return reached
+
+    reached = min((shrunk(True), shrunk(False)), key=lambda counts: counts.sum())
     left = dict(zip(task.grid.sites, reached.tolist(), strict=True))
     points = []
     for point in chooser.pool.points:
@@ -209,7 +213,9 @@ def part(goals: list[str], noises: list[float], seed: int, numbers: range) -> li
     return found
 
 
-def row(name: str, ended: list[tuple[Ended, np.ndarray]], fixed_s: float, once_s: float, settings: float) -> str:
+def row(
+    name: str, ended: list[tuple[Ended, np.ndarray]], fixed_s: float, once_s: float, settings: float
+) -> str:
     z, other = np.array([e.z for e, _ in ended]), np.array([o for _, o in ended])
     by_run = np.mean(z**2, axis=1)
     size = np.sqrt(by_run.mean())
@@ -225,7 +231,9 @@ def row(name: str, ended: list[tuple[Ended, np.ndarray]], fixed_s: float, once_s
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=2500)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
@@ -243,8 +251,8 @@ def main() -> int:
     once_s = chooser.pool.always_s
     print(f"{' '.join(asked.goal)}, the paper's procedure ({chooser.pool.count} settings), seed {asked.seed}")
     print(
-        f"{'noise':>6}{'runs':>6}{'rms z':>8}{'':7}{'fixed':>9}{'k = 2':>9}{'reached':>9}{'settings':>9}{'known':>8}"
-        f"{'time':>8}{'':7}{'apart':>8}"
+        f"{'noise':>6}{'runs':>6}{'rms z':>8}{'':7}{'fixed':>9}{'k = 2':>9}{'reached':>9}{'settings':>9}"
+        f"{'known':>8}{'time':>8}{'':7}{'apart':>8}"
     )
     for scale in asked.noise:
         own = [one for one in ended if one[0].scale == scale]

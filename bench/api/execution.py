@@ -21,7 +21,7 @@ from bench.api.provenance import versions
 from bench.api.simulated_truth import simulated_truth
 from bench.api.taken import bench_path, why_taken
 from bench.api.traceability import remarks
-from bench.api.until import chooser_of, until_of
+from bench.api.until import outlook_in_words, outlook_until, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -146,10 +146,11 @@ def new_run(
         manifest["devices"] = foreign
     if verdict:
         manifest["verdict"] = verdict
+    notes = _other_unit(stated.serial, serial, file.name)
     if until:
-        chooser_of(plan, file, until)
         manifest["until"] = [*until]
-    return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
+        notes += (outlook_in_words(outlook_until(plan, file, until)),)
+    return NewRun(runs / name, manifest, inputs, notes)
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:

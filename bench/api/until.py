@@ -1,4 +1,5 @@
-"""Runs that go on until it is good enough: what is asked for, whether it can be reached, what is chosen on the way."""
+"""Runs that go on until it is good enough: what is asked for, whether it can be reached, what is chosen on
+the way."""
 
 from __future__ import annotations
 
@@ -6,6 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
+
+import numpy as np
 
 from bench.analysis.budget.sources import assumed_stand, hidden_sources, stand_sources
 from bench.analysis.calibration import CalibrationError
@@ -21,6 +24,7 @@ from bench.analysis.planning.until.aim import (
     reached_by,
     with_hidden,
 )
+from bench.analysis.planning.until.apart import telling_apart
 from bench.analysis.planning.until.choice import REACHED, Chooser, Standing
 from bench.analysis.planning.until.noise import scale_of
 from bench.analysis.planning.until.outlook import TimeOutlook, time_outlook
@@ -30,20 +34,21 @@ from bench.api.errors import Refused
 from bench.api.points import delta_g_of
 from bench.api.quantities import named, quantity
 from bench.api.source import Request, load_sources
-from bench.base.numbers import quantity as in_words
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
 from bench.files.bench.file import BenchFile
-from bench.model import ForwardModel, Mounting
+from bench.model import CATALOGUE, ForwardModel, Mounting
 from bench.procedure.plan import Plan
 from bench.readings.table import VERIFICATION
 from bench.run.folder import Run
 from bench.run.history import History
 from bench.run.manifest import RecordError
 from bench.run.resume import Progress
+from bench.run.sentences import duration, size_in_words
 
 COMBINED: Final = "combined:"
 EXAMPLE: Final = "all=5e-5 (V/g and V), combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, modulus=1e-3 or time=4h"
 _PARTS_TOLD: Final = 3
+_NEARLY_ALL: Final = 0.995
 
 
 # --- what is asked for ------------------------------------------------------------------------------
@@ -136,28 +141,28 @@ def _hidden(bench: BenchFile, model: ForwardModel) -> list[Any]:
 
 def _refuse_below_floor(found: Sequence[Floor]) -> None:
     """Raise `Refused` for goals that no number of readings reaches, with the floor and what makes it."""
-    by_name: dict[str, Floor] = {}
-    for floor in found:
-        known = by_name.get(floor.wanted.name)
-        if known is None or floor.u > known.u:
-            by_name[floor.wanted.name] = floor
-    lines = []
-    for floor in by_name.values():
-        unit = floor.wanted.goal.unit
-        parts = ", ".join(f"{name.replace('_', ' ')} {in_words(u, unit)}" for name, u in floor.parts[:_PARTS_TOLD])
-        lines.append(
-            f"--until: {floor.wanted.name} of {in_words(floor.wanted.goal.asked, unit)} is below what no number of "
-            f"readings at these points lowers, {in_words(floor.u, unit)}: {parts}"
-        )
-    if lines:
-        raise Refused("\n".join([*lines, "ask for less, or better these in the bench file"]))
+    if not found:
+        return
+    worst = max(found, key=lambda floor: floor.u / floor.wanted.goal.asked)
+    unit = worst.wanted.goal.unit
+    parts = ", ".join(
+        f"{name.replace('_', ' ')} {size_in_words(u, unit)}" for name, u in worst.parts[:_PARTS_TOLD]
+    )
+    others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
+    raise Refused(
+        f"--until: no number of readings at these points brings the {worst.wanted.name} below "
+        f"{size_in_words(worst.u, unit)}, and {size_in_words(worst.wanted.goal.asked, unit)} is asked for; "
+        f"what makes it: {parts}"
+        + (f"; nor the {', '.join(others)}" if others else "")
+        + "; ask for less, or better these"
+    )
 
 
 def _refuse_too_short(aim: Aim, pool: Pool) -> None:
     if aim.limit_s is not None and aim.limit_s <= pool.always_s + sum(v.time_s for v in pool.visits[:1]):
         raise Refused(
-            f"--until time: {aim.limit_s / 3600:.3g} h are too short: warm-up, verification points and one mounting take "
-            f"{(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
+            f"--until time: {aim.limit_s / 3600:.3g} h are too short: warm-up, verification points and one "
+            f"mounting take {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
         )
 
 
@@ -225,7 +230,20 @@ class Until:
             result = calibration_of(replace(source, readings=readings))
         except CalibrationError:
             return standing
-        return replace(standing, reached=self._reached(result))
+        apart = self._telling_apart(standing) if result.calibration.lack_of_fit.shown else frozenset[Site]()
+        return replace(standing, reached=self._reached(result), apart=apart)
+
+    def _telling_apart(self, standing: Standing) -> frozenset[Site]:
+        """Return the sites of this mounting, not read yet, that tell apart what may explain a misfit."""
+        open_sites = {standing.site_of(p) for p in self._chooser.open_points(standing.visit, standing)}
+        sites = sorted(open_sites - set(standing.done))
+        if not sites:
+            return frozenset()
+        done = [site.setting() for site, count in standing.done.items() for _ in range(count)]
+        best = telling_apart(
+            self._chooser.stand, done, [site.setting() for site in sites], list(CATALOGUE.values())
+        )
+        return frozenset(sites[i] for i in best)
 
     def _reached(self, result: CalibrationResult) -> tuple[Reached, ...]:
         own = result.calibration
@@ -243,7 +261,11 @@ def is_short(run: Run) -> bool:
         chosen = run.history.progress.chosen
     except RecordError:
         return False
-    return bool(chosen) and chosen[-1]["stop"] not in ("", REACHED) and bool((chosen[-1]["now"] or {}).get("asked"))
+    return (
+        bool(chosen)
+        and chosen[-1]["stop"] not in ("", REACHED)
+        and bool((chosen[-1]["now"] or {}).get("asked"))
+    )
 
 
 # --- before the run ---------------------------------------------------------------------------------
@@ -252,3 +274,18 @@ def is_short(run: Run) -> bool:
 def outlook_until(plan: Plan, bench: BenchFile, texts: Sequence[str]) -> TimeOutlook:
     """Return how long a run for these goals will take at the noise that the bench file states."""
     return time_outlook(chooser_of(plan, bench, texts))
+
+
+def outlook_in_words(found: TimeOutlook) -> str:
+    """Say how long a run will take, and with how many settings: the median, and what 90 % of runs lie between."""
+    low_s, mid_s, high_s = found.quantiles(found.time_s)
+    low, mid, high = (round(n) for n in found.quantiles(found.settings))
+    reached = float(np.mean(found.reached))
+    words = (
+        f"at the noise that the bench file states: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
+        f"{duration(high_s)}) and {mid} settings ({low} to {high}), of the procedure's "
+        f"{duration(found.whole_s)} and {found.whole}"
+    )
+    if found.has_goal and reached < _NEARLY_ALL:
+        words += f"; reached in {100 * reached:.0f} % of runs, for then the procedure has no more points"
+    return words

@@ -192,12 +192,12 @@ class EventType(StrEnum):
     CLOCK_JUMPED = "clock_jumped"
     """`ahead_s`, by how much civil time went ahead of the bench's since the event before."""
     CHOSEN = "chosen"
-    """What is measured next, where a run goes on until it is good enough: `visit`, the number of the mounting;
-    `left_out`, ranges [first, last] of steps that are not needed, and `taken_up`, of such that are after all; `now`,
-    what the goal that is furthest from reached is at (None before the readings determine the coefficients);
-    `settings` and `repeats` so far; `next`, the points, what they take and bring; `in_all`, what is expected until the
-    end; `undecided`, the steps that later choices are about, with the time expected of them; or `stop`, why nothing
-    more is measured."""
+    """What is measured next, where a run goes on until it is good enough: `visit`, the number of the
+    mounting; `left_out`, ranges [first, last] of steps that are not needed, and `taken_up`, of such that
+    are after all; `now`, what the goal that is furthest from reached is at (None before the readings
+    determine the coefficients); `settings` and `repeats` so far; `next`, the points, what they take and
+    bring; `in_all`, what is expected until the end; `undecided`, the steps that later choices are about,
+    with the time expected of them; or `stop`, why nothing more is measured."""
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
 

@@ -70,7 +70,7 @@ class Progress:
             left_out=set(of.left_out),
         )
 
-    def take(self, event: Event) -> None:
+    def take(self, event: Event) -> None:  # noqa: PLR0912 - one case for each kind of event
         """Take note of an event."""
         self.asked.take(event)
         match event.type:
@@ -106,11 +106,14 @@ class Progress:
             case EventType.SKIPPED:
                 self.skipped.update(event.steps)
             case EventType.CHOSEN:
-                self.chosen.append(event.data)
-                self.left_out |= steps_of(event.data["left_out"])
-                self.left_out -= steps_of(event.data.get("taken_up", ()))
+                self._note_choice(event.data)
             case EventType.ANSWERED | EventType.ANSWER_REFUSED:
                 self.answers_heard = max(self.answers_heard, int(event.data.get("line", 0)))
+
+    def _note_choice(self, chosen: Mapping[str, Any]) -> None:
+        self.chosen.append(chosen)
+        self.left_out |= steps_of(chosen["left_out"])
+        self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
         """Remember at which reading the point alone was redone for a sign; more than the point begins anew."""

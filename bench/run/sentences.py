@@ -133,7 +133,8 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
     so_far = f"{data['settings']} settings, {data['repeats']} repeats"
     now = _goal_in_words(data.get("now"))
     if data["stop"]:
-        words = f"{_STOPS.get(data['stop'], data['stop'])}: {now or 'the coefficients are not determined'}; {so_far}"
+        why = _STOPS.get(data["stop"], data["stop"])
+        words = f"{why}: {now or 'the coefficients are not determined'}; {so_far}"
         needless = data.get("not_needed", 0)
         return f"{words}; {needless} are not needed" if needless else words
     coming, in_all = data["next"], data["in_all"]
@@ -143,7 +144,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
     if coming.get("tells_apart"):
         words += ", to tell apart what may explain the misfit"
     if (then := coming.get("then")) is not None:
-        words += f", for {_size(then['u'], then['unit'])}"
+        words += f", for {size_in_words(then['u'], then['unit'])}"
         if (gained := _per_minute(data.get("now"), coming)) is not None:
             words += f" ({gained} a minute)"
     further = in_all["settings"] - count
@@ -156,12 +157,12 @@ def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
     """Say how far a goal is reached: "u of Kxy 61 µV/g of 50 µV/g"."""
     if reached is None:
         return ""
-    words = f"{reached['goal']} {_size(reached['u'], reached['unit'])}"
+    words = f"{reached['goal']} {size_in_words(reached['u'], reached['unit'])}"
     asked = reached.get("asked")
-    return f"{words} of {_size(asked, reached['unit'])}" if asked else words
+    return f"{words} of {size_in_words(asked, reached['unit'])}" if asked else words
 
 
-def _size(u: float, unit: str) -> str:
+def size_in_words(u: float, unit: str) -> str:
     """Return an uncertainty with its prefix: "49.8 µV/g"."""
     base, slash, per = unit.partition("/")
     scale = scale_for(u, base)
@@ -173,4 +174,4 @@ def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str
     then, takes_s = coming["then"], float(coming["takes_s"])
     if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:
         return None
-    return _size((now["u"] - then["u"]) / (takes_s / 60.0), now["unit"])
+    return size_in_words((now["u"] - then["u"]) / (takes_s / 60.0), now["unit"])

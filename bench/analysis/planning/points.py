@@ -86,7 +86,8 @@ def repeats(conditions: Conditions) -> int:
 
 
 def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
-    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem that they are of.
+    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem that
+    they are of.
 
     The q angles of the stand are in units of their prior standard uncertainty.
     """

@@ -99,12 +99,12 @@ def floors(aim: Aim, stand: Stand, pool: Pool, hidden: Sequence[ErrorSource]) ->
         own = {
             c.source.name: _variance(wanted.goal, c.covariance)
             for c in budget.contributions
-            if wanted.combined or c.source.name in stand.sizes
+            if wanted.combined or stand.sizes.get(c.source.name, 0.0) > 0
         }
         if wanted.goal.floor > 0:
             own["the reading that is judged"] = wanted.goal.floor
         u = float(np.sqrt(sum(own.values())))
-        if u >= wanted.goal.asked:
+        if u >= wanted.goal.asked > NO_GOAL:
             parts = sorted(((name, float(np.sqrt(v))) for name, v in own.items()), key=lambda part: -part[1])
             found.append(Floor(wanted, u, tuple(p for p in parts if p[1] > _NO_PART * u)))
     return found
@@ -116,13 +116,11 @@ def with_hidden(aim: Aim, stand: Stand, pool: Pool, hidden: Sequence[ErrorSource
         return aim
     beyond = np.zeros((len(COEFFICIENTS), len(COEFFICIENTS)))
     for contribution in _endless(stand, pool, hidden).contributions:
-        if contribution.source.name not in stand.sizes:
+        if not stand.sizes.get(contribution.source.name, 0.0) > 0:
             beyond += contribution.covariance
     return replace(
         aim,
-        wanted=tuple(
-            replace(w, hidden=_variance(w.goal, beyond)) if w.combined else w for w in aim.wanted
-        ),
+        wanted=tuple(replace(w, hidden=_variance(w.goal, beyond)) if w.combined else w for w in aim.wanted),
     )
 
 

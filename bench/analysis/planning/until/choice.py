@@ -18,7 +18,7 @@ from bench.analysis.calibration.noise import LEAST_REPEATS
 from bench.analysis.planning.points import Stand
 from bench.analysis.planning.until.aim import NO_GOAL, Aim, Reached
 from bench.analysis.planning.until.design import Design, Grid, Task, Visits, enough
-from bench.analysis.planning.until.noise import Scale
+from bench.analysis.planning.until.noise import NOTHING_KNOWN, Scale
 from bench.analysis.planning.until.pool import Point, Pool, Site
 from bench.base.arrays import Floats, Ints
 from bench.model import Mounting
@@ -32,18 +32,19 @@ TIME: Final = "time"
 class Standing:
     """What the record says at a look.
 
-    `visit` is the number of the mounting that the block is in, of those of the pool; `taken` are the first steps of the
-    points that were measured, `done` counts the visits to each site, `elapsed_s` is the bench time.
-    `refused` are sites that somebody skipped, `refused_mounts` mountings likewise, `now` how mountings are called
-    since the block was taken off and mounted again. `reached` is empty as long as the readings do not determine the
-    coefficients; `apart` are sites that would tell apart what may explain a misfit, where there is one.
+    `visit` is the number of the mounting that the block is in, of those of the pool; `taken` are the first
+    steps of the points that were measured, `done` counts the visits to each site, `elapsed_s` is the bench
+    time. `refused` are sites that somebody skipped, `refused_mounts` mountings likewise, `now` how
+    mountings are called since the block was taken off and mounted again. `reached` is empty as long as the
+    readings do not determine the coefficients; `apart` are sites that would tell apart what may explain a
+    misfit, where there is one.
     """
 
     visit: int = -1
     taken: frozenset[int] = frozenset()
     done: Mapping[Site, int] = field(default_factory=Counter)
     elapsed_s: float = 0.0
-    scale: Scale = Scale()
+    scale: Scale = NOTHING_KNOWN
     reached: tuple[Reached, ...] = ()
     refused: frozenset[Site] = frozenset()
     refused_mounts: frozenset[Mounting] = frozenset()
@@ -65,11 +66,12 @@ class Standing:
 class Choice:
     """What is done next: `points` of the mounting number `visit`; nothing, where `stop` says why.
 
-    `left_out` are steps that are passed over and not needed, as it stands; a later choice may take some of them up,
-    as long as the block stays on, which are then `taken_up`. `now` is the goal that is furthest from reached, `after`
-    what it is expected to be at after these points, `end` at the end; `more` and `more_s` are the readings and the
-    time that are expected until then, these points among them, `settings` and `repeats` what was done. `rest_s` is the
-    time of what is done whatever is chosen, `not_needed` how many points of the pool are not taken in all.
+    `left_out` are steps that are passed over and not needed, as it stands; a later choice may take some of
+    them up, as long as the block stays on, which are then `taken_up`. `now` is the goal that is furthest
+    from reached, `after` what it is expected to be at after these points, `end` at the end; `more` and
+    `more_s` are the readings and the time that are expected until then, these points among them, `settings`
+    and `repeats` what was done. `rest_s` is the time of what is done whatever is chosen, `not_needed` how
+    many points of the pool are not taken in all.
     """
 
     visit: int
@@ -172,7 +174,7 @@ class Chooser:
         planned = zip(task.grid.sites, (design.counts - task.done).tolist(), strict=True)
         sites = {site for site, count in planned if count > 0}
         points = []
-        for point in self._open(number, standing):
+        for point in self.open_points(number, standing):
             if (site := standing.site_of(point)) in sites:
                 sites.remove(site)
                 points.append(point)
@@ -180,7 +182,7 @@ class Chooser:
 
     # --- what there is ------------------------------------------------------------------------------
 
-    def _open(self, number: int, standing: Standing) -> list[Point]:
+    def open_points(self, number: int, standing: Standing) -> list[Point]:
         """The points of a visit that can still be measured."""
         visit = self.pool.visits[number]
         if number < standing.visit or visit.mount in standing.refused_mounts:
@@ -199,8 +201,8 @@ class Chooser:
             site = standing.site_of(point)
             reads[site] = len(point.reads)
             seconds[site] = point.time_s
-        ahead = [number for number in range(len(self.pool.visits)) if self._open(number, standing)]
-        left = Counter(standing.site_of(p) for number in ahead for p in self._open(number, standing))
+        ahead = [number for number in range(len(self.pool.visits)) if self.open_points(number, standing)]
+        left = Counter(standing.site_of(p) for number in ahead for p in self.open_points(number, standing))
         grid = self._grid(reads)
         done = grid.counts(standing.done)
         limit_s = float("inf")
@@ -226,12 +228,12 @@ class Chooser:
     def _is_left_for_good(self, standing: Standing) -> bool:
         """Whether there are mountings to come, from which there is no way back to the one that the block is in."""
         ahead = range(max(standing.visit, 0) + 1, len(self.pool.visits))
-        return any(self._open(number, standing) for number in ahead)
+        return any(self.open_points(number, standing) for number in ahead)
 
     def _grid(self, reads: Mapping[Site, int]) -> Grid:
         key = frozenset(reads)
         if key not in self._grids:
-            self._grids[key] = Grid.of(self.stand, reads)
+            self._grids[key] = Grid.of(self.stand, dict(sorted(reads.items())))
         return self._grids[key]
 
     def _goals(self, standing: Standing, grid: Grid, done: Ints) -> tuple[Any, ...]:
@@ -239,7 +241,7 @@ class Chooser:
         ahead = tuple(wanted.ahead for wanted in self.aim.wanted)
         if not standing.reached:
             return ahead
-        task = Task(grid, ahead, done, done * 0, standing.scale.size, done * 0.0, {}, 0)
+        task = Task(grid, ahead, done, done * 0, standing.scale.size, np.zeros(len(done)), {}, 0)
         foreseen = Visits(task.candidates, ahead, done, done, done).variances
         found = []
         for wanted, goal, model, now in zip(self.aim.wanted, ahead, foreseen, standing.reached, strict=True):

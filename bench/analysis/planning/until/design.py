@@ -30,7 +30,8 @@ MOST_SUBSETS: Final = 5
 
 @dataclass(frozen=True)
 class Grid:
-    """The sites that were read or may be: whitened derivatives for the stand's noise as the bench file states it."""
+    """The sites that were read or may be: whitened derivatives for the stand's noise as the bench file
+    states it."""
 
     sites: tuple[Site, ...]
     rows: Floats
@@ -202,13 +203,28 @@ def _within(task: Task, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -
     most, repeats = task.done + left, task.least_repeats()
     if not Visits(task.candidates, task.goals, most, task.done, most).is_enough(repeats):
         return None
-    design = Visits(task.candidates, task.goals, task.done, task.done, most)
-    while not design.is_enough(repeats):
-        if design.largest > 1.0 or not design.add_repeat():
-            design.add_best()
-    design.drop_needless(repeats)
+    design = _greedy(task, most, repeats, wide=True)
+    if design.repeats == repeats:  # these decide, and fewer sites have more of them
+        design = min(
+            design, _greedy(task, most, repeats, wide=False), key=lambda one: task.time_s(one.counts)
+        )
     time_s = task.time_s(design.counts)
     return None if time_s > task.limit_s else Design(design.counts, True, time_s, design.variances)
+
+
+def _greedy(task: Task, most: Ints, repeats: int, *, wide: bool) -> Visits:
+    """Add what helps most until it is enough, then leave out what is not needed.
+
+    Repeats are added last where the sites are to be as many as help (`wide`), else as soon as the coefficients are
+    determined at all.
+    """
+    design = Visits(task.candidates, task.goals, task.done, task.done, most)
+    while not design.is_enough(repeats):
+        first = design.largest > 1.0 if wide else not design.determined
+        if first or design.repeats >= repeats or not design.add_repeat():
+            design.add_best()
+    design.drop_needless(repeats)
+    return design
 
 
 def _all_of(task: Task) -> Design:

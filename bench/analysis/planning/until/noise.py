@@ -17,8 +17,9 @@ from bench.readings.table import Readings
 BELIEVED: Final = 6.0
 """What the bench file states of the noise counts as so many signals: little, and enough before there is any."""
 
-SURE: Final = 0.9
-"""A mounting is left for good with visits that are enough at noise which is larger with a probability of 1 - SURE."""
+SURE: Final = 0.8
+"""A mounting is left for good with visits that are enough at noise which is larger with a probability of 1
+- SURE."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,10 @@ class Scale:
         """What the noise is below with the probability `SURE`."""
         freedom = BELIEVED + self.dof
         return float(self.size * np.sqrt(freedom / stats.chi2.ppf(1.0 - SURE, freedom)))
+
+
+NOTHING_KNOWN: Final = Scale()
+"""Before there is a reading: what the bench file states."""
 
 
 def scale_of(stand: Stand, readings: Readings) -> Scale:

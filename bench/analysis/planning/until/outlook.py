@@ -14,15 +14,15 @@ import numpy as np
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.noise import LEAST_REPEATS
-from bench.analysis.planning.until.aim import Reached
+from bench.analysis.planning.until.aim import NO_GOAL, Reached
 from bench.analysis.planning.until.choice import REACHED, Choice, Chooser, Standing
 from bench.analysis.planning.until.design import Visits
 from bench.analysis.planning.until.noise import BELIEVED, Scale
 from bench.analysis.planning.until.pool import Site
 from bench.base.arrays import Floats
 
-DRAWS: Final = 200
-GRAIN: Final = 0.05
+DRAWS: Final = 100
+GRAIN: Final = 0.1
 """Noise is drawn to so much of itself: choices are found once for all draws that agree in it."""
 QUANTILES: Final = (0.05, 0.5, 0.95)
 _OF_ONE_MOUNTING: Final = 9
@@ -33,7 +33,8 @@ _OF_ONE_MOUNTING: Final = 9
 class TimeOutlook:
     """Bench time, s, and readings of the pool in each draw, (draws,); whether the goals were reached in it.
 
-    `stops` says why each ended; `whole_s` is what the plan would take as it stands, `whole` its readings to choose from.
+    `whole_s` is what the plan would take as it stands, `whole` its points to choose from, `scale` the noise
+    in units of what the bench file states; `has_goal` is whether more than a time was asked for.
     """
 
     time_s: Floats
@@ -42,6 +43,7 @@ class TimeOutlook:
     whole_s: float
     whole: int
     scale: float
+    has_goal: bool = True
 
     def quantiles(self, values: Floats) -> list[float]:
         """Return the quantiles `QUANTILES` of values (draws,)."""
@@ -57,7 +59,7 @@ class TimeOutlook:
             "settings": self.quantiles(self.settings),
             "mean_time_s": float(np.mean(self.time_s)),
             "mean_settings": float(np.mean(self.settings)),
-            "reached": float(np.mean(self.reached)),
+            "reached": float(np.mean(self.reached)) if self.has_goal else None,
             "whole_time_s": self.whole_s,
             "whole_settings": self.whole,
         }
@@ -70,7 +72,8 @@ def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed:
     drawn = [_run(chooser, scale, rng, known) for _ in range(draws)]
     columns = np.array(drawn, dtype=np.float64).T
     pool = chooser.pool
-    return TimeOutlook(columns[0], columns[1], columns[2], pool.time_s, pool.count, scale)
+    has_goal = any(wanted.goal.asked > NO_GOAL for wanted in chooser.aim.wanted)
+    return TimeOutlook(columns[0], columns[1], columns[2], pool.time_s, pool.count, scale, has_goal)
 
 
 def _run(
@@ -98,9 +101,8 @@ def _run(
         done.update(point.site for point in choice.points)
         spent_s += choice.next_s
         for sums, dof in zip((repeated, other), _freedom(done), strict=True):
-            more = dof - sums[1]
-            if more > 0:
-                sums += (scale**2 * rng.chisquare(more), more)
+            if (more := dof - sums[1]) > 0:
+                np.add(sums, (scale**2 * rng.chisquare(more), more), out=sums)
         standing = _after(chooser, standing, choice, done, (repeated, other), spent_s)
 
 

@@ -1,7 +1,8 @@
 """What there is to choose from: the points of a plan, in the mountings that it has.
 
-A plan stays what it is. Its mountings are visited in its order, of the points of a mounting those that are chosen; what
-is not needed is left out. Everything else (warm-up, inputs, questions, the verification points) is done as the plan says.
+A plan stays what it is. Its mountings are visited in its order, of the points of a mounting those that are
+chosen; what is not needed is left out. Everything else (warm-up, inputs, questions, the verification
+points) is done as the plan says.
 """
 
 from __future__ import annotations
@@ -101,9 +102,7 @@ class Pool:
     @property
     def time_s(self) -> float:
         """Expected time of the whole plan."""
-        return (
-            self.always_s + sum(p.time_s for p in self.points) + sum(visit.time_s for visit in self.visits)
-        )
+        return self.always_s + sum(p.time_s for p in self.points) + sum(visit.time_s for visit in self.visits)
 
     def settings(self) -> list[Setting]:
         """Return all settings in order."""
@@ -126,7 +125,7 @@ def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
     found = _points(plan, line_hz)
     if not found:
         raise CalibrationError(
-            f"{plan.name}: has no reading in an installation of known orientation, so that there is nothing to choose"
+            f"{plan.name}: has no reading in an installation of known orientation: nothing is to choose"
         )
     visits = _visits(plan, found, line_hz)
     chosen = {i for point in found for i in point.steps} | {i for visit in visits for i in visit.steps}
@@ -189,4 +188,3 @@ def _visits(plan: Plan, found: Sequence[Point], line_hz: float) -> tuple[Visit, 
         time_s = sum(plan.step_duration_s(plan.steps[i], line_hz) for i in steps)
         visits.append(Visit(mount, own, mounted, steps, time_s))
     return tuple(visits)
-
