@@ -87,7 +87,8 @@ def forces(angles: Floats, stand: Floats) -> Floats:
 
 def signals(theta: Floats, force: Floats) -> Floats:
     """Return K a + U0 (R, n, 3) of coefficients (R, 12)."""
-    return np.einsum("rij,rnj->rni", theta[:, :9].reshape(-1, 3, 3), force) + theta[:, None, 9:]
+    acting = np.einsum("rij,rnj->rni", theta[:, :9].reshape(-1, 3, 3), force)
+    return np.asarray(acting + theta[:, None, 9:], dtype=np.float64)
 
 
 class Estimator:
