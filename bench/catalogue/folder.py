@@ -1,19 +1,9 @@
-"""A run folder read for the catalogue: rows of its tables, or why there are none. Nothing is written.
-
-What is proved of the record (column `record`): "chain" where every line carries the hash of the one before and the
-inputs are those of `run.json`, without a look at what the lines say; "read" where each was also read as an event
-that may stand there, as `bench show --verify` does; "broken" with the reason in `problem`; "none" where there is no
-line yet. None of them shows that lines are missing at the end, or that a whole chain was computed anew: for that,
-keep the head elsewhere.
-"""
+"""A run folder read for the catalogue: rows of its tables, or why there are none. Nothing is written."""
 
 from __future__ import annotations
 
-import hashlib
 import math
-import re
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -26,29 +16,18 @@ from bench.base.arrays import Floats
 from bench.base.forms import FileMistakes
 from bench.base.json_text import read_json
 from bench.base.visible import visible
+from bench.catalogue.instruments import Row, instruments_of, text_of
+from bench.catalogue.record import RecordSeen, utc_of
 from bench.catalogue.schema import key_of
 from bench.files.bench.file import BenchFile, load_recorded_bench
-from bench.run.folder import BENCH, VERIFY, Run
-from bench.run.manifest import EVENTS, MANIFEST, Manifest, RecordError, read_manifest, sha256
-from bench.run.states import RunState, state_after_one
+from bench.run.folder import BENCH, VERIFY
+from bench.run.manifest import MANIFEST, RecordError, read_manifest, sha256
 
 CALIBRATE: Final = "calibrate.json"
 DIAGNOSE: Final = "diagnose.json"
-NO_SERIAL: Final = frozenset({"", "0", "-"})
-"""What instruments answer that have no serial number."""
-
-Row = dict[str, Any]
-
 MOST: Final = 2**31 - 1
 """The largest whole number that a column takes; keys are larger."""
 _KEYS: Final = frozenset({"id", "run", "instrument", "certificate"})
-
-_PREVIOUS: Final = b', "prev": "'
-_TYPE: Final = re.compile(rb'"type": "([a-z_]+)"')
-_STEP_OF_READING: Final = re.compile(rb'"step": (\d+)')
-_TEMPERATURE: Final = re.compile(rb'"temperature_c": (-?[0-9.eE+-]+)')
-_TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
-_CHANGING: Final = b'"type": "run_'
 
 
 @dataclass(frozen=True)
@@ -85,7 +64,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
         raise RecordError(f"{MANIFEST} is of another program: it has no files or no created")
     digest = sha256((folder / MANIFEST).read_bytes())
     run = key_of("run", digest)
-    record = _Record(folder, manifest, digest)
+    record = RecordSeen(folder, manifest, digest)
     if whole:
         record.read_whole()
     bench, bench_sha256 = _bench_of(folder)
@@ -101,7 +80,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
         "path": str(folder),
         "vanished": False,
         "name": folder.name,
-        "created": _utc(manifest.get("created")),
+        "created": utc_of(manifest.get("created")),
         "ended": None if imported else record.ended,
         "imported": imported,
         "simulated": bool(manifest["dry_run"]) if "dry_run" in manifest else None,
@@ -124,7 +103,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
     }
     results.pop("problem", None)
     results.pop("bench", None)
-    return {"runs": [row], **_instruments(bench, run, record, manifest), **results}
+    return {"runs": [row], **instruments_of(bench, run, record.started), **results}
 
 
 def _storable(row: Row) -> Row:
@@ -137,88 +116,7 @@ def _storable(row: Row) -> Row:
     return row
 
 
-class _Record:
-    """The lines of a record gone through as bytes: their chain, the run's state, which steps were read."""
-
-    def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
-        self.folder = folder
-        self.head, self.count, self.state = manifest_sha256, 0, RunState.READY
-        self.problem = ""
-        self.steps: set[bytes] = set()
-        self.started: dict[str, Any] = {}
-        self.whole = False
-        self._temperatures: list[float] = []
-        self._last = b""
-        self._check_inputs(manifest)
-        try:
-            content = (folder / EVENTS).read_bytes()
-        except FileNotFoundError:
-            content = b""
-        self._go_through(content)
-
-    def _check_inputs(self, manifest: Manifest) -> None:
-        for name, digest in manifest["files"].items():
-            if Path(name).name != name:
-                self.problem = f"{MANIFEST} names an input outside of the folder"
-                return
-            file = self.folder / name
-            if not file.is_file() or sha256(file.read_bytes()) != digest:
-                self.problem = f"{name} was changed since the run began"
-
-    def _go_through(self, content: bytes) -> None:
-        lines = content.split(b"\n")
-        for line in lines[:-1]:
-            if not line.endswith(b'"}') or line[-2 - 64 : -2].decode("ascii", "replace") != self.head:
-                self.problem = f"{EVENTS}, line {self.count + 1}: the chain is broken here"
-                return
-            if line[:-66].endswith(_PREVIOUS) is False:
-                self.problem = f"{EVENTS}, line {self.count + 1}: not an event"
-                return
-            self._take(line)
-            self.head = hashlib.sha256(line).hexdigest()
-            self.count += 1
-            self._last = line
-
-    def _take(self, line: bytes) -> None:
-        if _CHANGING in line and (kind := _TYPE.search(line)) is not None:
-            name = kind.group(1).decode()
-            self.state = state_after_one(self.state, name)
-            if name in ("run_started", "run_resumed") and not self.started:
-                self.started = read_json(line)
-        elif b'"reading": {' in line and (step := _STEP_OF_READING.search(line)) is not None:
-            self.steps.add(step.group(1))
-            if (told := _TEMPERATURE.search(line)) is not None:
-                self._temperatures.append(float(told.group(1)))
-
-    def read_whole(self) -> None:
-        """Read every event, as `bench show --verify` does."""
-        if problems := Run(self.folder).history.problems:
-            self.problem = "; ".join(problems)
-        self.whole = True
-
-    @property
-    def proved(self) -> str:
-        """What is proved of the record."""
-        if self.problem:
-            return "broken"
-        return ("read" if self.whole else "chain") if self.count else "none"
-
-    @property
-    def ended(self) -> datetime | None:
-        """Civil time of the last event of a run that is not going on."""
-        if self.state in (RunState.READY, RunState.RUNNING, RunState.PAUSED):
-            return None
-        told = _TIME.search(self._last)
-        return _utc(told.group(1).decode()) if told else None
-
-    @property
-    def temperature_c(self) -> float | None:
-        """Mean of the temperatures of the readings, °C."""
-        finite = [value for value in self._temperatures if math.isfinite(value)]
-        return sum(finite) / len(finite) if finite else None
-
-
-def _results(folder: Path, run: int, record: _Record) -> dict[str, Any]:
+def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
     """Return the rows of what was found of a run, and under `problem` what could not be read of it."""
     rows: dict[str, Any] = {"problem": ""}
     for name, read in ((CALIBRATE, _calibration), (f"{VERIFY}.json", _verification), (DIAGNOSE, _diagnosis)):
@@ -244,7 +142,7 @@ def _results(folder: Path, run: int, record: _Record) -> dict[str, Any]:
     return rows
 
 
-def _calibration(data: Any, run: int, record: _Record) -> dict[str, Any]:
+def _calibration(data: Any, run: int, record: RecordSeen) -> dict[str, Any]:
     taken = coefficients_of(data, CALIBRATE)
     residual = data.get("residual") or {}
     noted = (data.get("record") or {}).get("head")
@@ -254,8 +152,8 @@ def _calibration(data: Any, run: int, record: _Record) -> dict[str, Any]:
     row = {
         "run": run,
         "of_record": None if noted is None else noted == record.head,
-        "estimator": _text(data.get("estimator")),
-        "model": _text(data.get("model")),
+        "estimator": text_of(data.get("estimator")),
+        "model": text_of(data.get("model")),
         "unit": taken.unit,
         "g_m_s2": taken.g_m_s2,
         "vector": _packed(taken.block.vector),
@@ -265,10 +163,10 @@ def _calibration(data: Any, run: int, record: _Record) -> dict[str, Any]:
         **{name: _number(residual.get(name)) for name in ("chi2", "dof", "p")},
         "used": int((data.get("readings") or {}).get("used", 0)) or None,
     }
-    return {"calibrations": [row], "bench": _text((data.get("bench") or {}).get("name"))}
+    return {"calibrations": [row], "bench": text_of((data.get("bench") or {}).get("name"))}
 
 
-def _verification(data: Any, run: int, record: _Record) -> dict[str, list[Row]]:
+def _verification(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row]]:
     points = [
         {
             "run": run,
@@ -286,14 +184,14 @@ def _verification(data: Any, run: int, record: _Record) -> dict[str, list[Row]]:
         "run": run,
         "verdict": _statement(data),
         "limit_g": _number(data.get("limit_g")),
-        "rule": _text(data.get("rule")),
+        "rule": text_of(data.get("rule")),
         "worst_delta_g": worst,
         "missing": int(data.get("missing") or 0),
     }
     return {"verifications": [whole], "points": points}
 
 
-def _diagnosis(data: Any, run: int, record: _Record) -> dict[str, list[Row]]:
+def _diagnosis(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row]]:
     names = ", ".join(dict.fromkeys(str(effect["name"]) for effect in data["effects"]))
     return {"diagnoses": [{"run": run, "verdict": str(data["verdict"]), "names": names}]}
 
@@ -301,58 +199,6 @@ def _diagnosis(data: Any, run: int, record: _Record) -> dict[str, list[Row]]:
 def _statement(data: Any) -> str:
     """Return a verdict; results of versions before have no statement: they passed or failed."""
     return str(data.get("statement") or ("pass" if data["passed"] else "fail"))
-
-
-def _instruments(
-    bench: BenchFile | None, run: int, record: _Record, manifest: Manifest
-) -> dict[str, list[Row]]:
-    """Return the instruments that answered, which the run used as what, and under which certificates."""
-    answered = {str(k): str(v) for k, v in (record.started.get("instruments") or {}).items()}
-    serials = {str(k): str(v).strip() for k, v in (record.started.get("serials") or {}).items()}
-    instruments: dict[int, Row] = {}
-    certificates: dict[int, Row] = {}
-    uses = []
-    sections = {section.name: section for section in bench.instruments.all()} if bench else {}
-    for role, identity in answered.items():
-        section = sections.get(role)
-        resource = _text(getattr(section, "resource", None))
-        serial = serials.get(role, "")
-        if serial in NO_SERIAL:
-            serial = ""
-            place = f" at {resource}" if resource else ""
-            name = f"{identity}{place} of {bench.name if bench else 'an unknown bench'}"
-        else:
-            name = f"{identity.split(serial)[0].strip()} {serial}".strip()
-        instrument = key_of("instrument", name)
-        driver = _text(getattr(section, "driver", None))
-        instruments[instrument] = {"id": instrument, "name": name, "driver": driver, "serial": serial or None}
-        certificate = None
-        if (stated := getattr(section, "certificate", None)) is not None:
-            row = _certificate(stated)
-            certificate = row["id"]
-            certificates[row["id"]] = row
-        uses.append(
-            {
-                "run": run,
-                "role": role,
-                "instrument": instrument,
-                "certificate": certificate,
-                "answered": identity,
-                "resource": resource,
-            }
-        )
-    return {"instruments": [*instruments.values()], "certificates": [*certificates.values()], "uses": uses}
-
-
-def _certificate(stated: Any) -> Row:
-    row = {
-        "number": stated.number,
-        "laboratory": stated.laboratory,
-        "date": stated.date,
-        "valid_until": stated.valid_until,
-        "serial": stated.serial,
-    }
-    return {"id": key_of("certificate", *(str(value) for value in row.values())), **row}
 
 
 def _bench_of(folder: Path) -> tuple[BenchFile | None, str | None]:
@@ -385,11 +231,7 @@ def _bench_named(results: dict[str, Any]) -> str | None:
 
 
 def _text_or_none(data: Any, *names: str) -> dict[str, str | None]:
-    return {name: _text(data.get(name)) for name in names}
-
-
-def _text(value: Any) -> str | None:
-    return str(value) if isinstance(value, str | int | float) and str(value) else None
+    return {name: text_of(data.get(name)) for name in names}
 
 
 def _number(value: Any) -> float | None:
@@ -398,15 +240,6 @@ def _number(value: Any) -> float | None:
 
 def _packed(array: Floats) -> bytes:
     return np.ascontiguousarray(array, dtype="<f8").tobytes()
-
-
-def _utc(text: Any) -> datetime | None:
-    """Return a civil time of a record as UTC without zone; None for what is none."""
-    try:
-        when = datetime.fromisoformat(str(text))
-    except ValueError:
-        return None
-    return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else None
 
 
 def _in_a_line(error: Exception, path: str) -> str:

@@ -68,7 +68,7 @@ RUNS: Final = Table(
     Column("record", Text, nullable=False),
     Column("problem", Text),
 )
-"""Runs: `record` is what was proved of the chain of hashes (`bench.catalogue.folder`), `problem` what is wrong."""
+"""Runs: `record` is what was proved of the chain of hashes (`bench.catalogue.record`), `problem` what is wrong."""
 
 INSTRUMENTS: Final = Table(
     "instruments",

@@ -25,7 +25,8 @@ from sqlalchemy import delete, select, update
 from bench.api.errors import Refused
 from bench.base.progress import tracked
 from bench.base.visible import visible
-from bench.catalogue.folder import Found, Row, read_folder
+from bench.catalogue.folder import Found, read_folder
+from bench.catalogue.instruments import Row
 from bench.catalogue.scan import Seen, scan
 from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, OF_A_RUN, RUNS
 from bench.catalogue.store import Catalogue
