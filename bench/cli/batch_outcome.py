@@ -104,11 +104,20 @@ def _short(run: str) -> str:
 def _sizes(one: Mapping[str, Any]) -> list[str]:
     stored, now, change = one["worst_delta_g_stored"], one["worst_delta_g"], one["largest_change_in_u"]
     sizes = ["" if size is None else f"{size * 1e6:+.1f} µg" for size in (stored, now)]
-    return [*sizes, "" if change is None else f"{change:.2g} u in {one['largest_change_of']}"]
+    return [*sizes, _change(change, one["largest_change_of"])]
+
+
+def _change(change: float | None, name: str) -> str:
+    if change is None:
+        return ""
+    return f"{change:.2g} u in {name}" if change else "none"
 
 
 def _coefficients(told: Mapping[str, Any], out: Console) -> None:
     change, ratio = told["change_in_u"], told["u_ratio"]
+    if change["most"] == 0.0:
+        out.print("no coefficient has changed")
+        return
     out.print(
         f"largest change of a coefficient in a run, in units of its stored u: median {change['median']:.2g}, "
         f"95 % up to {change['of_95_percent']:.2g}, most {change['most']:.2g} ({change['most_in']} of "
