@@ -9,14 +9,13 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.intercomparison.allotment import Allotment, allotment
 from bench.analysis.intercomparison.crossed import (
     BENCH,
     EXCESS,
     UNIT,
-    Allotment,
     Crossed,
     Crossing,
-    allotment,
     fit,
     most,
 )

@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy import linalg, optimize, sparse, special
+from scipy import linalg, optimize, sparse
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints
@@ -30,8 +30,6 @@ TRIED: Final = 0.1
 ONE_SIDED: Final = 0.5 * 1.6449**2
 """What the logarithm of the likelihood loses at a limit that is kept with 95 %."""
 MOST_TIMES: Final = 1e3
-FLAT: Final = 1e3
-"""A size so many times the scatter is as good as none stated."""
 
 
 @dataclass(frozen=True)
@@ -260,7 +258,7 @@ class Crossed:
         The covariance has in it that the sizes are estimates.
         """
         crossing = self.at.crossing
-        about = _about(crossing)
+        about = about_sets(crossing)
         own = self.at.bench_covariance
         slopes = np.zeros((crossing.benches, 3))
         for j in np.flatnonzero((self.sizes > 0) & np.isfinite(self.sizes)):
@@ -295,7 +293,7 @@ def fit(
     """
     centre = float(np.median(values))
     y = values - centre
-    scale = _scales(crossing, y, variance)
+    scale = scales_of(crossing, y, variance)
     kept = [j for j in range(3) if j != without]
 
     def sized(parts: Floats) -> Floats:
@@ -328,7 +326,7 @@ def most(found: Crossed, which: int) -> float:
     """
     at = found.at
     others = [j for j in range(3) if j != which and np.isfinite(found.sizes[j])]
-    scale = _scales(at.crossing, found.y, found.variance)[which]
+    scale = scales_of(at.crossing, found.y, found.variance)[which]
     information = at.information(found.y)
     follow = -np.linalg.pinv(information[np.ix_(others, others)]) @ information[others, which]
 
@@ -348,7 +346,7 @@ def most(found: Crossed, which: int) -> float:
     return float(optimize.brentq(lacking, low, high, rtol=0.02))
 
 
-def _scales(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
+def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
     """Return scales (3,) of the sizes: what units differ by, what their values scatter by."""
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
@@ -370,41 +368,7 @@ def _variance_covariance(at: At, y: Floats) -> Floats:
     return covariance
 
 
-@dataclass(frozen=True)
-class Allotment:
-    """Whether units came to benches by chance: `chi2` with `dof`, of differences between benches by two ways.
-
-    The first takes differences within units alone, the second the means of all units too; a bench that is given
-    units of another kind is off in the second only. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
-    """
-
-    chi2: float
-    dof: int
-
-    @property
-    def p(self) -> float:
-        """The probability of so much where units came by chance."""
-        return float(special.chdtrc(self.dof, self.chi2)) if self.dof else 1.0
-
-
-def allotment(found: Crossed) -> Allotment:
-    """Hold the differences between benches within units against those that means of units give as well."""
-    at = found.at
-    crossing = at.crossing
-    wide = found.sizes.copy()
-    wide[BENCH] = FLAT * _scales(crossing, found.y, found.variance)[BENCH]
-    both = solve(crossing, found.y, found.variance, wide)
-    wide[UNIT] = np.inf
-    within = solve(crossing, found.y, found.variance, wide)
-    about = _about(crossing)
-    gap = about @ (within.bench - both.bench)
-    more = about @ (within.bench_covariance - both.bench_covariance) @ about.T
-    size, along = np.linalg.eigh(more)
-    told = size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)
-    return Allotment(float(np.sum((along.T[told] @ gap) ** 2 / size[told])), int(told.sum()))
-
-
-def _about(crossing: Crossing) -> Floats:
+def about_sets(crossing: Crossing) -> Floats:
     """Return the map (B, B) of effects of benches to those about the mean of their connected set."""
     alike = crossing.component[:, None] == crossing.component[None, :]
     return np.asarray(np.eye(crossing.benches) - alike / alike.sum(axis=1, keepdims=True))
