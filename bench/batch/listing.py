@@ -6,6 +6,7 @@ import glob
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Final
 
@@ -67,11 +68,9 @@ def fingerprint(run: str) -> str:
 
 
 def _asked(words: Sequence[str], catalogue: str | None) -> Listed:
-    from bench.catalogue.questions import run_folders
-    from bench.catalogue.store import open_catalogue
-
-    with open_catalogue(catalogue) as opened:
-        return _sorted(run_folders(opened, words), ())
+    questions, store = import_module("bench.catalogue.questions"), import_module("bench.catalogue.store")
+    with store.open_catalogue(catalogue) as opened:
+        return _sorted(questions.run_folders(opened, words), ())
 
 
 def _there(patterns: Iterable[str], runs: Path) -> Listed:
