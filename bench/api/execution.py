@@ -14,6 +14,8 @@ from typing import Final
 
 from rich.console import Console
 
+from bench.api.check_block import is_check_block
+from bench.api.checked_before import check_before, refuse_or_tell
 from bench.api.errors import Refused
 from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
@@ -88,11 +90,14 @@ def new_run(
     model: Path | None = None,
     verdict: VerdictAsked | None = None,
     living: bool = False,
+    check_block: bool = False,
+    despite_check: str | None = None,
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
 
     `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's. A person
-    answers the questions of a `living` dry run.
+    answers the questions of a `living` dry run. With `check_block` a dry run, too, is held to the bench's check
+    block; `despite_check` is why a run is begun whatever that says.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -144,7 +149,32 @@ def new_run(
         manifest["devices"] = foreign
     if verdict:
         manifest["verdict"] = verdict
-    return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
+    notes = _other_unit(stated.serial, serial, file.name)
+    if check_block or despite_check is not None or (file.check_block is not None and not dry_run):
+        notes += _checked_before(manifest, file, bench_file_path, runs, despite_check)
+    return NewRun(runs / name, manifest, inputs, notes)
+
+
+def _checked_before(
+    manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
+) -> tuple[str, ...]:
+    """Hold a run that is to begin to the check block of its bench: into the manifest, and in words.
+
+    Raises `Refused` where the bench file says so. A run of the check block itself is not held to it.
+    """
+    if bench.check_block is None:
+        raise Refused(
+            f"{path}: states no check_block; --check-block and --despite-check go with one that does"
+        )
+    if despite is not None and (not despite.strip() or not despite.isprintable()):
+        raise Refused("--despite-check: say in words why the run is begun all the same; the record keeps it")
+    if is_check_block(bench, manifest["unit_under_test"]):
+        return ("this is a run of the check block: its chart follows it",)
+    rule = bench.check_block.rule
+    found = check_before(bench, path, runs, utc_now(), simulated=bool(manifest["dry_run"]))
+    told = refuse_or_tell(found, rule, despite)
+    manifest["check_block"] = found.recorded(rule, despite)
+    return told
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
