@@ -7,13 +7,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from bench.api.check_block import CheckBlockChart, chart_of, check_block_runs
+from bench.api.check_block import CheckBlockChart, chart_of, check_block_runs, is_check_block
 from bench.api.errors import Refused
 from bench.base.words import duration
 from bench.files.bench.check_block import CheckBlockSection
 from bench.files.bench.file import BenchFile
 from bench.run.folder import Run
-from bench.run.manifest import CheckedBefore
+from bench.run.manifest import CheckedBefore, Manifest
+from drivers.clock import utc_now
 
 HOUR_S: Final = 3600.0
 IN_CONTROL: Final = "in control"
@@ -90,6 +91,29 @@ def _judged(
         said = f"the last run of the check block, {last.run}, is {hours} old; it counts for {counts}"
         return CheckBefore("too old", said, last.run, age_s)
     return CheckBefore(IN_CONTROL, f"{last.run}, {hours} ago, was in control", last.run, age_s)
+
+
+def checked_before(
+    manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
+) -> tuple[str, ...]:
+    """Hold a run that is to begin to the check block of its bench: into its manifest, and in words.
+
+    `despite` is why it is begun whatever the check says. Raises `Refused` where the bench file says so. A run of the
+    check block itself is not held to it.
+    """
+    if bench.check_block is None:
+        raise Refused(
+            f"{path}: states no check_block; --check-block and --despite-check go with one that does"
+        )
+    if despite is not None and (not despite.strip() or not despite.isprintable()):
+        raise Refused("--despite-check: say in words why the run is begun all the same; the record keeps it")
+    if is_check_block(bench, manifest["unit_under_test"]):
+        return ("this is a run of the check block: its chart follows it",)
+    rule = bench.check_block.rule
+    found = check_before(bench, path, runs, utc_now(), simulated=bool(manifest["dry_run"]))
+    told = refuse_or_tell(found, rule, despite)
+    manifest["check_block"] = found.recorded(rule, despite)
+    return told
 
 
 def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:

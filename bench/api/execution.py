@@ -14,8 +14,7 @@ from typing import Final
 
 from rich.console import Console
 
-from bench.api.check_block import is_check_block
-from bench.api.checked_before import check_before, refuse_or_tell
+from bench.api.checked_before import checked_before
 from bench.api.errors import Refused
 from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
@@ -151,30 +150,8 @@ def new_run(
         manifest["verdict"] = verdict
     notes = _other_unit(stated.serial, serial, file.name)
     if check_block or despite_check is not None or (file.check_block is not None and not dry_run):
-        notes += _checked_before(manifest, file, bench_file_path, runs, despite_check)
+        notes += checked_before(manifest, file, bench_file_path, runs, despite_check)
     return NewRun(runs / name, manifest, inputs, notes)
-
-
-def _checked_before(
-    manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
-) -> tuple[str, ...]:
-    """Hold a run that is to begin to the check block of its bench: into the manifest, and in words.
-
-    Raises `Refused` where the bench file says so. A run of the check block itself is not held to it.
-    """
-    if bench.check_block is None:
-        raise Refused(
-            f"{path}: states no check_block; --check-block and --despite-check go with one that does"
-        )
-    if despite is not None and (not despite.strip() or not despite.isprintable()):
-        raise Refused("--despite-check: say in words why the run is begun all the same; the record keeps it")
-    if is_check_block(bench, manifest["unit_under_test"]):
-        return ("this is a run of the check block: its chart follows it",)
-    rule = bench.check_block.rule
-    found = check_before(bench, path, runs, utc_now(), simulated=bool(manifest["dry_run"]))
-    told = refuse_or_tell(found, rule, despite)
-    manifest["check_block"] = found.recorded(rule, despite)
-    return told
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:

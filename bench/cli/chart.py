@@ -63,9 +63,12 @@ def chart(
     print_chart(found, out)
     if page is not None:
         from bench.base.whole import write_whole
-        from bench.report.control_chart import render_chart
+        from bench.report.control_chart import ChartOfBlock, render_chart
 
-        write_whole(page, render_chart(found))
+        of = ChartOfBlock(
+            found.chart, found.block, found.unit, found.simulated, found.notes, found.sentence()
+        )
+        write_whole(page, render_chart(of))
         printing.written("page", page, out)
     printing.write_json([found.to_dict()], json)
     return 0 if found.accepted else 1

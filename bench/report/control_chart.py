@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from markupsafe import Markup
 
+from bench.analysis.control_charts.chart import ControlChart
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, fixed, probability, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
@@ -17,7 +19,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from bench.api.check_block import CheckBlockChart
+
+@dataclass(frozen=True)
+class ChartOfBlock:
+    """What the page is made from: the chart, of which `block`, in which `unit`, with further `notes`.
+
+    `sentence` is what it says of its last run.
+    """
+
+    chart: ControlChart
+    block: str
+    unit: str
+    simulated: bool
+    notes: tuple[str, ...]
+    sentence: str
+
 
 MOST_SHOWN: Final = 60
 """So many of the last runs are drawn and listed."""
@@ -28,7 +44,7 @@ BASIS_IN_WORDS: Final = {
 }
 
 
-def render_chart(found: CheckBlockChart) -> str:
+def render_chart(found: ChartOfBlock) -> str:
     """Return the page; the same chart gives the same text."""
     chart = found.chart
     last = chart.verdicts[-1] if chart.verdicts else None
@@ -62,7 +78,7 @@ def render_chart(found: CheckBlockChart) -> str:
 class _Joint:
     """Three panels over one another: T² of each run, T² of the EWMA, the short-term standard deviation."""
 
-    def __init__(self, found: CheckBlockChart) -> None:
+    def __init__(self, found: ChartOfBlock) -> None:
         self._chart, self._unit = found.chart, found.unit
 
     def draw(self, figure: Figure) -> None:
@@ -86,7 +102,7 @@ class _Joint:
 class _Single:
     """A panel for each coefficient: deviation from the centre with limits, and the EWMA with its own."""
 
-    def __init__(self, found: CheckBlockChart) -> None:
+    def __init__(self, found: ChartOfBlock) -> None:
         self._chart, self._unit = found.chart, found.unit
 
     def draw(self, figure: Figure) -> None:
@@ -139,7 +155,7 @@ def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
     axes.set_xticks(ticks, [f"{chart.later[int(k) - 1].when:{text}}" for k in ticks], fontsize=7)
 
 
-def _runs(found: CheckBlockChart) -> list[dict[str, Any]]:
+def _runs(found: ChartOfBlock) -> list[dict[str, Any]]:
     chart = found.chart
     rows = []
     for row in list(range(len(chart.later)))[-MOST_SHOWN:][::-1]:
@@ -156,7 +172,7 @@ def _runs(found: CheckBlockChart) -> list[dict[str, Any]]:
     return rows
 
 
-def _coefficients(found: CheckBlockChart) -> list[dict[str, Any]]:
+def _coefficients(found: ChartOfBlock) -> list[dict[str, Any]]:
     chart = found.chart
     if not chart.verdicts:
         return []
@@ -178,7 +194,7 @@ def _coefficients(found: CheckBlockChart) -> list[dict[str, Any]]:
     return rows
 
 
-def _components(found: CheckBlockChart) -> list[dict[str, Any]]:
+def _components(found: ChartOfBlock) -> list[dict[str, Any]]:
     parts = found.chart.components
     if parts is None:
         return []
@@ -194,7 +210,7 @@ def _components(found: CheckBlockChart) -> list[dict[str, Any]]:
     return rows
 
 
-def _drift(found: CheckBlockChart) -> list[dict[str, Any]]:
+def _drift(found: ChartOfBlock) -> list[dict[str, Any]]:
     drift = found.chart.drift
     if drift is None:
         return []

@@ -188,7 +188,7 @@ def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):
     found = chart_of(runs, section, of_bench=tmp_path / "my.yaml")
     assert found.chart.reference.name == "ours.json"
     assert len(found.chart.later) == 5
-    with pytest.raises(Refused, match="none.json: no result of"):
+    with pytest.raises(Refused, match=r"none\.json: no result of"):
         chart_of(
             runs, section.model_copy(update={"reference": ("none.json",)}), of_bench=tmp_path / "my.yaml"
         )
