@@ -98,8 +98,8 @@ def checked_before(
 ) -> tuple[str, ...]:
     """Hold a run that is to begin to the check block of its bench: into its manifest, and in words.
 
-    `despite` is why it is begun whatever the check says. Raises `Refused` where the bench file says so. A run of the
-    check block itself is not held to it.
+    `despite` is why it is begun whatever the check says. Raises `Refused` where the bench file says so. A run of
+    the check block itself is not held to it.
     """
     if bench.check_block is None:
         raise Refused(
