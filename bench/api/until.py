@@ -4,7 +4,7 @@ the way."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -41,7 +41,7 @@ from bench.procedure.plan import Plan
 from bench.readings.table import VERIFICATION
 from bench.run.folder import Run
 from bench.run.history import History
-from bench.run.manifest import RecordError
+from bench.run.manifest import Manifest, RecordError
 from bench.run.resume import Progress
 from bench.run.sentences import duration, size_in_words
 
@@ -250,9 +250,9 @@ class Until:
         return reached_by(self._chooser.aim, own.covariance_readings, own.covariance)
 
 
-def until_of(run: Run, bench: BenchFile) -> Until | None:
-    """Return what chooses for a run that goes on until it is good enough, None for any other."""
-    return Until(run, bench) if run.manifest.get("until") else None
+def until_of(run: Run, bench: BenchFile) -> Callable[[int, Progress], dict[str, Any] | None]:
+    """Return what chooses for a run that goes on until it is good enough; for any other nothing is chosen."""
+    return Until(run, bench) if run.manifest.get("until") else lambda index, progress: None
 
 
 def is_short(run: Run) -> bool:
@@ -269,6 +269,14 @@ def is_short(run: Run) -> bool:
 
 
 # --- before the run ---------------------------------------------------------------------------------
+
+
+def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
+    """Keep the goals in the manifest; return how long a run for them will take, as a sentence. Raises `Refused`."""
+    if not texts:
+        return ()
+    manifest["until"] = [*texts]
+    return (outlook_in_words(outlook_until(plan, bench, texts)),)
 
 
 def outlook_until(plan: Plan, bench: BenchFile, texts: Sequence[str]) -> TimeOutlook:
