@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.base.arrays import Floats
-from bench.base.numbers import fixed, places, scale_for
+from bench.base.numbers import fixed, places, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
 from bench.report.plots import BLUE, GREY, svg_figure, symbol
 from bench.report.template import page
@@ -38,10 +38,17 @@ def render_unit(history: Mapping[str, Any]) -> str:
         "unit.html.j2",
         history=history,
         figure=Markup(unit_figure(calibrations)) if calibrations else None,  # noqa: S704 - our own drawing
+        expected=_expected(history["due"]),
         rows=coefficient_rows(calibrations),
         headings=[column.replace("_", " ") for column in _RUN_COLUMNS],
         runs=[[_cell(run[column]) for column in _RUN_COLUMNS] for run in reversed(history["runs"])],
     )
+
+
+def _expected(due: Mapping[str, Any] | None) -> list[str]:
+    """Return the errors expected at the last calibration and when due, in millionths of g, to two digits."""
+    sizes = [due[name] for name in ("error_at_last_g", "error_when_due_g")] if due else []
+    return ["–" if size is None else two_digits(size * 1e6) for size in sizes]
 
 
 def unit_figure(calibrations: Sequence[Mapping[str, Any]]) -> str:
