@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from markupsafe import Markup
@@ -12,13 +12,14 @@ from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places, scale_for, two_digits
 from bench.model.block import COEFFICIENTS
-from bench.report.plots import BLUE, GREY, svg_figure, symbol
+from bench.report.plots import BLUE, GREY, svg_figure, svg_file, symbol
 from bench.report.template import page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_RUN_COLUMNS = (
+INCHES: Final = (7.4, 7.6)
+_RUN_COLUMNS: Final = (
     "created",
     "name",
     "bench",
@@ -53,6 +54,16 @@ def _expected(due: Mapping[str, Any] | None) -> list[str]:
 
 def unit_figure(calibrations: Sequence[Mapping[str, Any]]) -> str:
     """Return an SVG element: each coefficient less its last value over time, with bars of k = 2."""
+    words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
+    return svg_figure("unit", INCHES, _drawing(calibrations), words)
+
+
+def unit_file(calibrations: Sequence[Mapping[str, Any]]) -> str:
+    """Return the same as an SVG file that stands alone."""
+    return svg_file("unit", INCHES, _drawing(calibrations))
+
+
+def _drawing(calibrations: Sequence[Mapping[str, Any]]) -> Callable[[Figure], None]:
     dates = np.array([one["created"][:19] for one in calibrations], dtype="datetime64[s]")
     values, sizes = _arrays(calibrations)
     change, bars = values - values[-1], COVERAGE_FACTOR * sizes
@@ -72,8 +83,7 @@ def unit_figure(calibrations: Sequence[Mapping[str, Any]]) -> str:
             ends = [dates[0], dates[-1]] if dates[-1] > dates[0] else [dates[0]]
             axes.set_xticks([end.astype(object) for end in ends], [str(end)[:10] for end in ends])
 
-    words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
-    return svg_figure("unit", (7.4, 7.6), draw, words)
+    return draw
 
 
 def coefficient_rows(calibrations: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:

@@ -45,7 +45,7 @@ def server():
             port = free.getsockname()[1]
 
         def call(*words):
-            subprocess.run(words, check=True, cwd=folder, capture_output=True, timeout=120, **own)
+            subprocess.run(words, check=True, cwd=folder, capture_output=True, timeout=120, **own)  # noqa: S603 - ours
 
         call("initdb", "-D", f"{name}/data", "-U", user, "-A", "trust", "-E", "UTF8", "--locale=C", "-N")
         options = f"-c listen_addresses=127.0.0.1 -p {port} -k {name} -c fsync=off"

@@ -49,7 +49,7 @@ RESULTS = {
     "analyses.md": {"tests/data/stability/ln100-up.json": "stability"},
 }
 """What pages leave behind, and the schema of each."""
-SLOW = {"tutorial.md", "analyses.md", "how-it-works.md", "certificates.md"}
+SLOW = {"tutorial.md", "analyses.md", "how-it-works.md", "certificates.md", "catalogue.md"}
 SHELL = {"ls", "cp", "rm", "sed"}
 
 
