@@ -14,6 +14,7 @@ from typing import Final
 
 from rich.console import Console
 
+from bench.api.checked_before import checked_before
 from bench.api.errors import Refused
 from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
@@ -88,11 +89,14 @@ def new_run(
     model: Path | None = None,
     verdict: VerdictAsked | None = None,
     living: bool = False,
+    check_block: bool = False,
+    despite_check: str | None = None,
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
 
     `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's. A person
-    answers the questions of a `living` dry run.
+    answers the questions of a `living` dry run. With `check_block` a dry run, too, is held to the bench's check
+    block; `despite_check` is why a run is begun whatever that says.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -144,7 +148,10 @@ def new_run(
         manifest["devices"] = foreign
     if verdict:
         manifest["verdict"] = verdict
-    return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
+    notes = _other_unit(stated.serial, serial, file.name)
+    if check_block or despite_check is not None or (file.check_block is not None and not dry_run):
+        notes += checked_before(manifest, file, bench_file_path, runs, despite_check)
+    return NewRun(runs / name, manifest, inputs, notes)
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:

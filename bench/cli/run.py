@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -28,6 +29,8 @@ from bench.cli.options import (
 from bench.cli.panel import link_to
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from bench.api.source import Source
     from bench.run.folder import Run
     from bench.run.manifest import VerdictAsked
@@ -50,6 +53,13 @@ def run(
     guard_band: GuardBandOption = None,
     model: ModelOption = None,
     wire_log: WireLogOption = None,
+    check_block: Annotated[
+        bool, typer.Option("--check-block", help="Hold a dry run, too, to the check block of the bench file.")
+    ] = False,
+    despite_check: Annotated[
+        str | None,
+        typer.Option(metavar="REASON", help="Begin whatever the check block says; the record keeps why."),
+    ] = None,
     follow: Annotated[
         bool, typer.Option("--follow", help="Then diagnose, and run at once what would tell more.")
     ] = False,
@@ -106,6 +116,8 @@ def run(
             model=model,
             verdict=verdict,
             living=dry_run and (panel or answers is not None),
+            check_block=check_block,
+            despite_check=despite_check,
         )
         out = printing.console(json=json)
         if json != "-":
@@ -123,7 +135,7 @@ def run(
             heard = heard_in(begun, record, None, wishes, out, away=away)
             carry_out(begun, record, None, wire, out, interrupts, heard)
         done = Run(new.folder)
-        return done, conclude(done, json)
+        return done, max(conclude(done, json), charted(done, bench, out))
 
     done, status = carried_out(procedure, name, seed)
     if not follow:
@@ -134,6 +146,35 @@ def run(
     return max(
         status, measure_further(done, lambda further, called: carried_out(further, called, seed + 1)[1])
     )
+
+
+def charted(run: Run, bench: str | None, out: Console) -> int:
+    """Put a run of the check block on its chart, and say and write what that shows; 1 where it is out of control.
+
+    Of any other run there is nothing to say. Raises `Refused` where the chart cannot be made.
+    """
+    from bench.api.taken import find_bench_file
+
+    taken = find_bench_file(bench)
+    unit = run.manifest["unit_under_test"]
+    if taken.file.check_block is None:
+        return 0
+    from bench.api.check_block import chart_of, check_block_runs, is_check_block
+    from bench.base.whole import to_text
+    from bench.cli.chart import print_chart
+
+    if not is_check_block(taken.file, unit):
+        return 0
+    runs = check_block_runs(taken.file, run.folder.parent, simulated=run.simulated)
+    if run.name not in {one.name for one in runs}:
+        return 0
+    chart = chart_of(runs, taken.file.check_block, of_bench=Path(taken.where), folder=run.folder.parent)
+    print_chart(chart, out)
+    if printing.write_beside(run.folder / "chart.json", to_text(chart.to_dict()), asked=False):
+        out.print(
+            f"chart: {run.folder / 'chart.json'} (bench chart {run.folder.parent} --page FILE draws it)"
+        )
+    return 0 if chart.accepted else 1
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
