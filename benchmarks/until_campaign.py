@@ -29,6 +29,7 @@ import numpy as np
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.calibrate import calibrate
 from bench.analysis.calibration.noise import LEAST_REPEATS
+from bench.analysis.calibration.result import Calibration
 from bench.analysis.planning.until.aim import reached_by
 from bench.analysis.planning.until.choice import REACHED, Chooser, Standing
 from bench.analysis.planning.until.design import Task, Visits
@@ -113,7 +114,7 @@ def chooser_for(goals: list[str]) -> Chooser:
     return chooser_of(plan, load_bench(find_bench("paper-stand")), goals)
 
 
-def calibrated(readings: Readings, chooser: Chooser):
+def calibrated(readings: Readings, chooser: Chooser) -> Calibration:
     return calibrate(readings, chooser.stand.model, chooser.stand.sizes, 9.81)
 
 

@@ -148,8 +148,8 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
         if (gained := _per_minute(data.get("now"), coming)) is not None:
             words += f" ({gained} a minute)"
     further = in_all["settings"] - count
-    left = f"then about {further} more, {duration(in_all['takes_s'])} in all" if further > 0 else ""
-    left = left or f"{duration(in_all['takes_s'])} to the end"
+    left = f"then about {further} more; " if further > 0 else ""
+    left += f"{duration(in_all['takes_s'])} to the end"
     return "; ".join(filter(None, (now, so_far if data["settings"] else "", words, left)))
 
 
