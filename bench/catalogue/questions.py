@@ -116,11 +116,15 @@ def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
     """Make a key of what belongs to a run in another table: some row of its satisfies the condition."""
 
     def build(operator: str, value: str) -> Condition:
-        own = exists().where(table.c.run == RUNS.c.id)
-        wanted = ~own if value == NONE else own.where(condition(value))
+        wanted = ~_row_of(table) if value == NONE else _row_of(table, condition(value))
         return _signed(operator, wanted)
 
     return build
+
+
+def _row_of(table: Table, *conditions: Condition) -> Condition:
+    """Return whether a run has a row in a table that satisfies conditions."""
+    return exists(select(table.c.run).where(table.c.run == RUNS.c.id, *conditions).correlate(RUNS))
 
 
 def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
@@ -134,7 +138,7 @@ def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
         if not math.isfinite(size):
             raise ValueError("expected a number")
         held = _compared(column, operator, size)
-        return held if table is None else exists().where(table.c.run == RUNS.c.id, held)
+        return held if table is None else _row_of(table, held)
 
     return build
 
@@ -192,7 +196,7 @@ def _instrument(value: str) -> Condition:
     own = select(INSTRUMENTS.c.id).where(
         or_(_like(INSTRUMENTS.c.name, value), _like(INSTRUMENTS.c.serial, value))
     )
-    return USES.c.instrument.in_(own)
+    return USES.c.instrument.in_(own.correlate(None))
 
 
 def _meter(value: str) -> Condition:
@@ -201,7 +205,7 @@ def _meter(value: str) -> Condition:
 
 def _certificate(value: str) -> Condition:
     own = select(CERTIFICATES.c.id).where(_like(CERTIFICATES.c.number, value))
-    return USES.c.certificate.in_(own)
+    return USES.c.certificate.in_(own.correlate(None))
 
 
 def _effect(value: str) -> Condition:
