@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -139,7 +138,7 @@ def run(
             heard = heard_in(begun, record, None, wishes, out, away=away)
             carry_out(begun, record, None, wire, out, interrupts, heard)
         done = Run(new.folder)
-        return done, max(conclude(done, json), charted(done, bench, out))
+        return done, conclude(done, json)
 
     done, status = carried_out(procedure, name, seed)
     if not follow:
@@ -152,27 +151,26 @@ def run(
     )
 
 
-def charted(run: Run, bench: str | None, out: Console) -> int:
+def charted(run: Run, out: Console) -> int:
     """Put a run of the check block on its chart, and say and write what that shows; 1 where it is out of control.
 
-    Of any other run there is nothing to say. Raises `Refused` where the chart cannot be made.
+    Of any other run there is nothing to say. Where no chart can be made, that is said: the run is finished.
     """
-    from bench.api.taken import find_bench_file
-
-    taken = find_bench_file(bench)
-    unit = run.manifest["unit_under_test"]
-    if taken.file.check_block is None:
-        return 0
+    from bench.api.chart_sources import own_bench
     from bench.api.check_block import chart_of, check_block_runs, is_check_block
     from bench.base.whole import to_text
     from bench.cli.chart import print_chart
 
-    if not is_check_block(taken.file, unit):
+    bench, path = own_bench(run)
+    unit = run.manifest.get("unit_under_test")
+    if bench.check_block is None or unit is None or not is_check_block(bench, unit):
         return 0
-    runs = check_block_runs(taken.file, run.folder.parent, simulated=run.simulated)
-    if run.name not in {one.name for one in runs}:
+    runs = check_block_runs(bench, run.folder.parent, simulated=run.simulated)
+    try:
+        chart = chart_of(runs, bench.check_block, of_bench=path, folder=run.folder.parent)
+    except Refused as reason:
+        out.print(f"the run is finished; no control chart: {reason}")
         return 0
-    chart = chart_of(runs, taken.file.check_block, of_bench=Path(taken.where), folder=run.folder.parent)
     print_chart(chart, out)
     if printing.write_beside(run.folder / "chart.json", to_text(chart.to_dict()), asked=False):
         out.print(
@@ -192,7 +190,7 @@ def is_away(answers: str | None, *, panel: bool) -> bool:
 
 
 def conclude(run: Run, target: str | None = None) -> int:
-    """Calibrate, verify and report a finished run; 1 when the verification failed.
+    """Calibrate, verify and report a finished run; 1 when the verification failed, or a check is out of control.
 
     `target` is where the whole result goes as JSON: null stands for a calibration or verdict that is not.
 
@@ -202,7 +200,7 @@ def conclude(run: Run, target: str | None = None) -> int:
 
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     try:
-        return _draw(run, source, target)
+        return max(_draw(run, source, target), charted(run, printing.console(json=target)))
     except OSError as error:
         raise Refused(
             f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
