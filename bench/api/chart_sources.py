@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.api.check_block import check_block_runs, is_check_block
+from bench.api.check_block import CheckBlockChart, chart_of, check_block_runs, is_check_block
 from bench.api.errors import Refused
 from bench.api.taken import find_bench_file
 from bench.files.bench.check_block import CheckBlockSection
@@ -42,12 +42,30 @@ def charted_runs(
     return ChartedRuns(named, section, path)
 
 
+def chart(
+    runs: str | Path | Sequence[str | Path] | None = None, *, bench: str | Path | None = None
+) -> CheckBlockChart:
+    """Return the control chart of a check block, as `bench chart` finds it.
+
+    `runs` are runs of the check block by name or path, or the folder in which they are (BENCH_RUNS, or ./runs).
+    `bench` states the check block; without it the bench file counts that the latest of its runs recorded.
+    """
+    folder = Path(os.environ.get("BENCH_RUNS") or "runs")
+    given = [folder] if runs is None else [runs] if isinstance(runs, str | Path) else list(runs)
+    found = charted_runs([str(one) for one in given], folder, None if bench is None else str(bench))
+    return chart_of(found.runs, found.section, of_bench=found.bench_file, folder=folder)
+
+
 def _bench_file(bench: str | None, run: Run) -> tuple[BenchFile, Path]:
     if bench or os.environ.get("BENCH_FILE"):
         taken = find_bench_file(bench)
         return taken.file, Path(taken.where)
+    return own_bench(run)
+
+
+def own_bench(run: Run) -> tuple[BenchFile, Path]:
+    """Return the bench file that a run recorded, and where it was: a reference is named from there."""
     stated = Path(str(run.manifest.get("bench", "")))
-    # a reference is named from where the bench file is, not from its copy in the run
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH
 
 

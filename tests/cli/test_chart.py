@@ -194,6 +194,27 @@ def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):
         )
 
 
+def test_from_python_it_is_the_same_chart(there):
+    import bench as program
+
+    found = program.chart("runs", bench="my.yaml")
+    assert found.to_dict() == of_days(there, 5).to_dict()
+    assert not found.accepted
+
+
+def test_a_run_that_ends_puts_itself_on_the_chart(laboratory, tmp_path, monkeypatch):
+    import shutil
+
+    from bench.cli.run import charted
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(laboratory / "runs", "runs")
+    out = io.StringIO()
+    assert charted(Run(Path("runs/shifted")), Console(file=out, width=200)) == 1
+    assert "OUT OF CONTROL: shifted" in out.getvalue()
+    keeps_to("chart", json.loads(Path("runs/shifted/chart.json").read_text(encoding="utf-8")))
+
+
 def test_values_are_kept_by_the_head_of_their_record(there, monkeypatch):
     (run, *_) = check_block_runs(there, Path("runs"), simulated=True)
     kept = check_block.check_values(run)
