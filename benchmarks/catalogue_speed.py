@@ -20,9 +20,9 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-QUESTIONS = (
+QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
     ("ask", ["meter=MY540012", "after=2020-05-03"], "units"),
     ("ask", ["certificate=2020-40012"], "runs"),
     ("ask", ["verdict=fail", "bench=bench-07"], "runs"),
@@ -101,7 +101,8 @@ def apart(work: Callable[..., Any], *given: Any) -> dict[str, Any]:
     from concurrent.futures import ProcessPoolExecutor
 
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(measured, work, *given).result()
+        found: dict[str, Any] = pool.submit(measured, work, *given).result()
+        return found
 
 
 def main() -> int:
