@@ -23,18 +23,18 @@ from pathlib import Path
 from typing import Any, Final
 
 QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
-    ("ask", ["meter=MY540012", "after=2020-05-03"], "units"),
-    ("ask", ["certificate=2020-40012"], "runs"),
+    ("ask", ["meter=MY540012", "after=2017-05-03"], "units"),
+    ("ask", ["certificate=2017-40012"], "runs"),
     ("ask", ["verdict=fail", "bench=bench-07"], "runs"),
     ("ask", ["verdict!=pass", "operator=A.*"], "runs"),
-    ("ask", ["unit=*00042"], "coefficients"),
-    ("ask", ["after=2025-12-01"], "runs"),
+    ("ask", ["unit=*00000"], "coefficients"),
+    ("ask", ["after=2017-09-01"], "runs"),
     ("ask", [], "units"),
     ("ask", [], "benches"),
     ("ask", ["bench=bench-07"], "instruments"),
     ("folders", ["bench=bench-07"], ""),
     ("table", ["bench=bench-07"], ""),
-    ("unit", ["triaxial block A 00042"], ""),
+    ("unit", ["triaxial block A 00000"], ""),
 )
 """What is asked: of answers, of folders for a batch, of coefficients as arrays, of a unit with its date due."""
 
