@@ -125,7 +125,9 @@ def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
 
 def _row_of(table: Table, *conditions: Condition) -> Condition:
     """Return whether a run has a row in a table that satisfies conditions."""
-    return exists(select(table.c.run).where(table.c.run == RUNS.c.id, *conditions).correlate(RUNS))
+    if conditions:  # by the index of what is asked for, and not run by run
+        return RUNS.c.id.in_(select(table.c.run).where(*conditions).correlate(None))
+    return exists(select(table.c.run).where(table.c.run == RUNS.c.id).correlate(RUNS))
 
 
 def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
