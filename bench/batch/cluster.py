@@ -41,7 +41,7 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
 
 def _rows(dask: Any, client: Any, job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     mine = dict(program())
-    done = dask.as_completed()
+    done = dask.as_completed(loop=client.loop)
     in_work: dict[str, str] = {}
     room = _room(client)
 
