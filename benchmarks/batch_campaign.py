@@ -190,7 +190,9 @@ def kills(options: argparse.Namespace, folder: Path) -> int:
             if len(wrong) > options.kills:
                 break
             program = begin(over, runs, out, options)
-        if sum(killed.values()) < options.kills:
+        if sum(killed.values()) < options.kills and not workers_of(program.pid):
+            time.sleep(0.2)  # it is only beginning
+        elif sum(killed.values()) < options.kills:
             time.sleep(chance.uniform(0.0, options.every))
             killed.update(kill_one(program, chance))
         else:

@@ -14,6 +14,7 @@ from bench.batch.processes import AHEAD, died_at
 from bench.batch.work import worked
 
 _PATIENCE: Final = "10s"
+_PATIENCE_WITH_WORKERS_S: Final = 60.0
 _LOOKED_AGAIN: Final = 100
 """After so many rows is asked how many workers there are."""
 
@@ -32,6 +33,13 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
         raise Refused(
             f"--scheduler {address}: no Dask scheduler answers there ({type(problem).__name__}); begin one with "
             "'dask scheduler', and its workers with 'dask worker ADDRESS --nthreads 1'"
+        ) from None
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE_WITH_WORKERS_S)
+    except (OSError, TimeoutError):
+        client.close(timeout=2)
+        raise Refused(
+            f"--scheduler {address}: no worker is there; begin some with 'dask worker {address} --nthreads 1'"
         ) from None
     try:
         yield from _rows(dask, client, job, runs, address)
