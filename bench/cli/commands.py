@@ -30,6 +30,7 @@ COMMANDS: Final = {
     " or one that signs certificates.",
     "export": "Write the readings of a run as a readings file.",
     "import": "Make a run of a readings file that was measured elsewhere.",
+    "catalogue": "Many run folders in a database: what was measured with what, a unit's history, when it is due.",
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
     "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
     " for Kalibr, PX4, ArduPilot.",
