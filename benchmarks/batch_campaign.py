@@ -76,6 +76,8 @@ class Watch:
             one.last, one.most_kb = now, max(one.most_kb, kb)
             largest = max(largest, kb)
         mine = times_of(self.program)
+        if not largest:
+            return  # all have ended: what is left is the making of the tables
         self.memory.append((done, 0 if mine is None else mine[2], largest))
 
     def shares(self) -> tuple[float, float]:
