@@ -26,7 +26,8 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     `runs`. Raises `Refused` where no scheduler answers, where a worker has another program, or where it goes away.
     """
     dask = distributed()
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it has to say is said below
+    for name in [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what it has to say is said below
     try:
         client = dask.Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as problem:
