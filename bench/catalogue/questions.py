@@ -24,6 +24,7 @@ from bench.catalogue.schema import (
     CERTIFICATES,
     DIAGNOSES,
     INSTRUMENTS,
+    ISSUED,
     RUNS,
     USES,
     VERIFICATIONS,
@@ -116,11 +117,15 @@ def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
     """Make a key of what belongs to a run in another table: some row of its satisfies the condition."""
 
     def build(operator: str, value: str) -> Condition:
-        own = exists().where(table.c.run == RUNS.c.id)
-        wanted = ~own if value == NONE else own.where(condition(value))
+        wanted = ~_row_of(table) if value == NONE else _row_of(table, condition(value))
         return _signed(operator, wanted)
 
     return build
+
+
+def _row_of(table: Table, *conditions: Condition) -> Condition:
+    """Return whether a run has a row in a table that satisfies conditions."""
+    return exists(select(table.c.run).where(table.c.run == RUNS.c.id, *conditions).correlate(RUNS))
 
 
 def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
@@ -134,7 +139,7 @@ def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
         if not math.isfinite(size):
             raise ValueError("expected a number")
         held = _compared(column, operator, size)
-        return held if table is None else exists().where(table.c.run == RUNS.c.id, held)
+        return held if table is None else _row_of(table, held)
 
     return build
 
@@ -192,7 +197,7 @@ def _instrument(value: str) -> Condition:
     own = select(INSTRUMENTS.c.id).where(
         or_(_like(INSTRUMENTS.c.name, value), _like(INSTRUMENTS.c.serial, value))
     )
-    return USES.c.instrument.in_(own)
+    return USES.c.instrument.in_(own.correlate(None))
 
 
 def _meter(value: str) -> Condition:
@@ -201,7 +206,13 @@ def _meter(value: str) -> Condition:
 
 def _certificate(value: str) -> Condition:
     own = select(CERTIFICATES.c.id).where(_like(CERTIFICATES.c.number, value))
-    return USES.c.certificate.in_(own)
+    return USES.c.certificate.in_(own.correlate(None))
+
+
+def _issued(operator: str, value: str) -> Condition:
+    own = select(ISSUED.c.id).where(ISSUED.c.head == RUNS.c.head).correlate(RUNS)
+    held = ~exists(own) if value == NONE else exists(own.where(_like(ISSUED.c.number, value)))
+    return _signed(operator, held)
 
 
 def _effect(value: str) -> Condition:
@@ -221,6 +232,7 @@ KEYS: Final[Mapping[str, Key]] = {
     "meter": Key("a voltmeter: its serial number, or all that names it", _among(USES, _meter)),
     "instrument": Key("any instrument, likewise", _among(USES, _instrument)),
     "certificate": Key("number of a certificate that the bench file states", _among(USES, _certificate)),
+    "issued": Key("number of a certificate that this laboratory issued of its record", _issued),
     "operator": Key("who ran it", _text(RUNS.c.operator)),
     "procedure": Key("name of the procedure file", _text(RUNS.c.procedure)),
     "plan": Key("hash of the plan", _text(RUNS.c.plan_hash)),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import JsonOption
 
@@ -22,7 +23,8 @@ GROUP: Final = typer.Typer(
 )
 
 ON_SCREEN: Final = 40
-"""Rows of a table on the screen."""
+MOST_DAYS: Final = 36_525
+
 _SHOWN: Final = {
     "runs": ("name", "created", "unit", "bench", "state", "verdict", "diagnosis", "problem"),
     "coefficients": ("name", "created", "unit", "bench", "Kxx", "Kyy", "Kzz", "U0x", "U0y", "U0z"),
@@ -87,7 +89,7 @@ def ask(
         typer.Option(
             "--of",
             metavar="WHAT",
-            help="runs, coefficients, units, benches, operators, instruments, certificates or folders.",
+            help="runs, coefficients, units, benches, operators, instruments, certificates, issued or folders.",
         ),
     ] = "runs",
     csv: Annotated[
@@ -120,6 +122,85 @@ def ask(
     printing.write_json(
         [{"query": list(asked), "of": of, "count": len(found), "rows": found.to_json()}], json
     )
+    return 0
+
+
+LimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--limit", metavar="G", help="Error allowed, in g at 1 g (default: its last verification's)."
+    ),
+]
+IntervalOption = Annotated[
+    float | None,
+    typer.Option("--interval", metavar="DAYS", help="Counts where a history is too short (default: 365)."),
+]
+
+
+@GROUP.command(epilog="Example: bench catalogue unit 17-042 --page unit.html")
+def unit(
+    name: Annotated[str, typer.Argument(metavar="UNIT", help="Serial number, or type and serial number.")],
+    page: Annotated[
+        Path | None, typer.Option("--page", metavar="FILE", help="Write its page (HTML).")
+    ] = None,
+    limit: LimitOption = None,
+    interval: IntervalOption = None,
+    catalogue: CatalogueOption = None,
+    json: JsonOption = None,
+) -> int:
+    """One unit: its coefficients over time, its runs, when it is due."""
+    from bench.base.whole import write_whole
+    from bench.catalogue.store import open_catalogue
+    from bench.catalogue.unit import unit_history
+
+    printing.check_target(json)
+    with open_catalogue(catalogue, existing=True) as opened:
+        found = unit_history(opened, name, limit_g=_positive("--limit", limit), interval_days=_days(interval))
+    told = found.to_json()
+    on = printing.console(json=json)
+    if json != "-":
+        _print_unit(told, on)
+    if page is not None:
+        from bench.report.unit import render_unit
+
+        write_whole(page, render_unit(told))
+        printing.written("page", page, on)
+    printing.write_json([told], json)
+    return 0
+
+
+@GROUP.command(epilog="Example: bench catalogue due bench=stand-2 --before 2027-01-01")
+def due(
+    query: QueryArgument = None,
+    before: Annotated[
+        str | None, typer.Option("--before", metavar="YYYY-MM-DD", help="Those that are due before that day.")
+    ] = None,
+    limit: LimitOption = None,
+    interval: IntervalOption = None,
+    catalogue: CatalogueOption = None,
+    json: JsonOption = None,
+) -> int:
+    """When units are due, by their drift; the first first."""
+    from bench.catalogue.questions import moment
+    from bench.catalogue.store import open_catalogue
+    from bench.catalogue.unit import due_units
+
+    printing.check_target(json)
+    try:
+        until = moment(before).date().isoformat() if before else None
+    except ValueError as error:
+        raise Refused(f"--before {before}: {error}") from None
+    with open_catalogue(catalogue, existing=True) as opened:
+        found, odd = due_units(
+            opened, query or [], limit_g=_positive("--limit", limit), interval_days=_days(interval)
+        )
+    told = [{"unit": one.unit, **one.due.to_json()} for one in found if one.due is not None]
+    told = [row for row in told if until is None or row["due"] < until]
+    on = printing.console(json=json)
+    if json != "-":
+        _print_due(told, on)
+        printing.notes_on(on, [f"{name}: {why}" for name, why in odd.items()])
+    printing.write_json([{"query": list(query or []), "units": told, "not_known": odd}], json)
     return 0
 
 
@@ -160,3 +241,47 @@ def _cell(value: Any) -> str:
     if isinstance(value, datetime):
         return f"{value:%Y-%m-%d %H:%M}"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _positive(option: str, value: float | None) -> float | None:
+    if value is not None and not value > 0.0:
+        raise Refused(f"{option} {value:g}: expected a number above zero")
+    return value
+
+
+def _days(interval: float | None) -> float | None:
+    days = _positive("--interval", interval)
+    if days is not None and days > MOST_DAYS:
+        raise Refused(f"--interval {days:g}: expected at most {MOST_DAYS} days")
+    return days
+
+
+def _print_unit(told: Any, on: Any) -> None:
+    from bench.report.unit import coefficient_rows
+
+    made = f"{len(told['runs'])} runs, {len(told['calibrations'])} calibrations compared"
+    on.print(f"{told['unit']}: {made}{', SIMULATED' if told['simulated'] else ''}", style="bold")
+    if told["calibrations"]:
+        table = printing.table(
+            "coefficient", ">last", ">U (k=2)", ">since the one before", ">since the first", "unit"
+        )
+        for row in coefficient_rows(told["calibrations"]):
+            table.add_row(*row)
+        on.print(table)
+    printing.notes_on(on, told["notes"])
+    due = told["due"]
+    on.print(
+        f"due {due['due']}: {due['why']}" if due else f"no date due: {told['why_not_due']}", style="bold"
+    )
+
+
+def _print_due(told: list[dict[str, Any]], on: Any) -> None:
+    table = printing.table("due", "unit", "by", ">calibrations", "last", "")
+    for row in told[:ON_SCREEN]:
+        simulated = "simulated" if row["simulated"] else ""
+        table.add_row(row["due"], row["unit"], row["basis"], str(row["calibrations"]), row["last"], simulated)
+    if told:
+        on.print(table)
+    more = len(told) - ON_SCREEN
+    rest = f"; {more} more are not shown: --json FILE has all" if more > 0 else ""
+    on.print(f"{len(told)} units due{rest}", style="bold")

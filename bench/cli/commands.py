@@ -44,6 +44,7 @@ COMMANDS: Final = {
     "tumble": "Each axis of a multi-point tumble by IEEE 1293:"
     " bias, scale factor, misalignments, K2, K3, Koq.",
     "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
+    "chart": "Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control.",
     "batch": "Compute many runs anew: what changes, which verdicts would be different; goes on where it stopped.",
     "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
     "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",

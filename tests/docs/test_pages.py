@@ -49,7 +49,15 @@ RESULTS = {
     "analyses.md": {"tests/data/stability/ln100-up.json": "stability"},
 }
 """What pages leave behind, and the schema of each."""
-SLOW = {"tutorial.md", "analyses.md", "how-it-works.md", "certificates.md", "batches.md"}
+SLOW = {
+    "tutorial.md",
+    "analyses.md",
+    "how-it-works.md",
+    "certificates.md",
+    "catalogue.md",
+    "batches.md",
+    "check-block.md",
+}
 SHELL = {"ls", "cp", "rm", "sed"}
 
 
