@@ -188,6 +188,14 @@ PanelOption = Annotated[
         help="Open the operator's panel for this run and print its link; a dry run's questions are asked, too.",
     ),
 ]
+UntilOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--until",
+        metavar="GOALS",
+        help="End when it is good enough: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, time=4h.",
+    ),
+]
 GravityOption = Annotated[
     float | None,
     typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),

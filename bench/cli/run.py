@@ -22,6 +22,7 @@ from bench.cli.options import (
     ProcedureArgument,
     RuleOption,
     RunsOption,
+    UntilOption,
     WireLogOption,
     app,
 )
@@ -51,6 +52,7 @@ def run(
     rule: RuleOption = None,
     guard_band: GuardBandOption = None,
     model: ModelOption = None,
+    until: UntilOption = None,
     wire_log: WireLogOption = None,
     check_block: Annotated[
         bool, typer.Option("--check-block", help="Hold a dry run, too, to the check block of the bench file.")
@@ -82,6 +84,7 @@ def run(
         raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
 
     away = is_away(answers, panel=panel)
+    asked_for = procedure
     if follow and away:
         raise Refused("--follow asks at the terminal before it measures further: it wants --answers terminal")
 
@@ -115,6 +118,7 @@ def run(
             model=model,
             verdict=verdict,
             living=dry_run and (panel or answers is not None),
+            until=until or () if procedure == asked_for else (),
             check_block=check_block,
             despite_check=despite_check,
         )
@@ -209,9 +213,11 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
     from bench.analysis.calibration import CalibrationError
     from bench.api.calibration import calibration_of
     from bench.api.early_mistakes import told_in_words
+    from bench.api.until import is_short
     from bench.base.whole import to_text, write_whole
 
     out = printing.console(json=target)
+    short = is_short(run)
     for line in told_in_words(run):
         out.print(f"look: {line}")
     drawn: dict[str, Any] = {
@@ -225,7 +231,7 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
     except CalibrationError as reason:
         out.print(f"the run is finished; no calibration from it: {reason}")
         printing.write_json([drawn], target)
-        return 0
+        return 1 if short else 0
     file = source.output("calibrate", ".json")
     printing.calibration(result, file, out)
     drawn["calibration"] = result.to_dict()
@@ -238,5 +244,9 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
         drawn["verification"] = verdict.to_dict()
         write_whole(file, to_text(drawn["verification"]))
         printing.verification(verdict, file, out)
+    if short:
+        out.print(
+            f"NOT REACHED: {', '.join(run.manifest.get('until', ()))}; the procedure has no more that would help"
+        )
     printing.write_json([drawn], target)
-    return 0 if verdict is None or verdict.passed else 1
+    return 0 if not short and (verdict is None or verdict.passed) else 1

@@ -49,7 +49,8 @@ class Manifest(TypedDict, total=False):
     `readings` that has, and nothing of a procedure. `living` is a dry run whose questions a person answers.
     `bench_why` says why that bench file was taken. `devices` says
     where those drivers came from that are none of the bench's own, `verdict` how it is judged in place of the bench
-    file's, `check_block` what that said; all three are left out where there is nothing.
+    file's, `until` the goals at which it ends, `check_block` what that said; all are left out where there is
+    nothing.
     """
 
     format: int
@@ -69,6 +70,7 @@ class Manifest(TypedDict, total=False):
     versions: dict[str, str]
     devices: dict[str, str]
     verdict: VerdictAsked
+    until: list[str]
     check_block: CheckedBefore
     files: dict[str, str]
 
