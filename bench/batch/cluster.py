@@ -14,6 +14,7 @@ from bench.batch.processes import AHEAD, died_at
 from bench.batch.work import worked
 
 _PATIENCE: Final = "10s"
+_PATIENCE_WITH_WORKERS_S: Final = 60.0
 _LOOKED_AGAIN: Final = 100
 """After so many rows is asked how many workers there are."""
 
@@ -25,13 +26,21 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     `runs`. Raises `Refused` where no scheduler answers, where a worker has another program, or where it goes away.
     """
     dask = distributed()
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it has to say is said below
+    for name in [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what it has to say is said below
     try:
         client = dask.Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as problem:
         raise Refused(
             f"--scheduler {address}: no Dask scheduler answers there ({type(problem).__name__}); begin one with "
             "'dask scheduler', and its workers with 'dask worker ADDRESS --nthreads 1'"
+        ) from None
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE_WITH_WORKERS_S)
+    except (OSError, TimeoutError):
+        client.close(timeout=2)
+        raise Refused(
+            f"--scheduler {address}: no worker is there; begin some with 'dask worker {address} --nthreads 1'"
         ) from None
     try:
         yield from _rows(dask, client, job, runs, address)
@@ -41,7 +50,7 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
 
 def _rows(dask: Any, client: Any, job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     mine = dict(program())
-    done = dask.as_completed()
+    done = dask.as_completed(loop=client.loop)
     in_work: dict[str, str] = {}
     room = _room(client)
 

@@ -6,7 +6,6 @@ import glob
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Final
 
@@ -36,7 +35,7 @@ def list_runs(over: Sequence[str], runs: Path, catalogue: str | None = None) -> 
     A pattern is that of a shell (`*`, `?`, `[…]`, `**` for folders in folders), in the working folder or else in
     the folder `runs`; a folder that is no run stands for the runs in it. Raises `Refused` where nothing is found.
     """
-    words = [word for given in over for word in (given.split() if is_question(given) else [given])]
+    words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
     if not any(words):
         raise Refused("--over: say which runs, such as --over 'runs/*' or --over unit=Q-17")
@@ -48,6 +47,12 @@ def list_runs(over: Sequence[str], runs: Path, catalogue: str | None = None) -> 
         kind = "the catalogue has no run of which this holds" if asked else "no run lies there"
         raise Refused(f"--over {' '.join(words)}: {kind}")
     return found
+
+
+def _words(given: str) -> list[str]:
+    """Return the words of a query in one text, where each is one; else the text, which may hold spaces."""
+    words = given.split()
+    return words if len(words) > 1 and all(map(is_question, words)) else [given]
 
 
 def is_question(word: str) -> bool:
@@ -68,9 +73,11 @@ def fingerprint(run: str) -> str:
 
 
 def _asked(words: Sequence[str], catalogue: str | None) -> Listed:
-    questions, store = import_module("bench.catalogue.questions"), import_module("bench.catalogue.store")
-    with store.open_catalogue(catalogue) as opened:
-        return _sorted(questions.run_folders(opened, words), ())
+    from bench.catalogue.questions import run_folders
+    from bench.catalogue.store import open_catalogue
+
+    with open_catalogue(catalogue, existing=True) as opened:
+        return _sorted(run_folders(opened, words), ())
 
 
 def _there(patterns: Iterable[str], runs: Path) -> Listed:

@@ -95,7 +95,7 @@ class _Pool:
         for worker in [w for w in self._workers if w.ready and not w.at_hand and w.given >= self._recycled]:
             self._let_go(worker)
         while len(self._workers) < self._count and self._there_is_more(self._waiting_workers() + 1):
-            self._workers.append(self._begun())
+            self._begin()
         if not any(worker.at_hand for worker in self._workers) and not self._there_is_more(1):
             return False
         return bool(self._workers)
@@ -117,12 +117,27 @@ class _Pool:
             self._next.append(run)
         return True
 
-    def _begun(self) -> _Worker:
+    def _begin(self) -> None:
         ours, its = self._context.Pipe()
         process = self._context.Process(target=_work, args=(self._job, its), daemon=True)
-        process.start()
-        its.close()
-        return _Worker(process, ours)
+        try:
+            process.start()
+        except (
+            EOFError,
+            OSError,
+        ) as problem:  # the one of which they are copies has died: there will be another
+            ours.close()
+            self._came_to_nothing(f"{type(problem).__name__} {problem}".strip())
+        else:
+            self._workers.append(_Worker(process, ours))
+        finally:
+            its.close()
+
+    def _came_to_nothing(self, how: str) -> None:
+        """Count a process that never was ready. Raises `Refused` where none comes up."""
+        self._stillborn += 1
+        if self._stillborn >= TRIES * self._count:
+            raise Refused(f"the processes that compute end before they begin ({how})")
 
     def _let_go(self, worker: _Worker) -> None:
         self._workers.remove(worker)
@@ -151,9 +166,7 @@ class _Pool:
         how = _how(worker.process.exitcode)
         self._let_go(worker)
         if not worker.ready:
-            self._stillborn += 1
-            if self._stillborn >= TRIES * self._count:
-                raise Refused(f"the processes that compute end before they begin ({how})")
+            self._came_to_nothing(how)
             return
         if not worker.at_hand:
             return

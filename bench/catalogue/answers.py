@@ -23,6 +23,7 @@ from bench.catalogue.schema import (
     DIAGNOSES,
     FOLDERS,
     INSTRUMENTS,
+    ISSUED,
     RUNS,
     USES,
     VERIFICATIONS,
@@ -136,7 +137,7 @@ def _counts() -> list[Any]:
     failed = func.sum(case((VERIFICATIONS.c.verdict == "fail", 1), else_=0))
     simulated = func.sum(case((RUNS.c.simulated.is_(True), 1), else_=0))
     return [
-        func.count(RUNS.c.id.distinct()).label("runs"),
+        func.count().label("runs"),
         simulated.label("simulated_runs"),
         failed.label("failed"),
         func.min(RUNS.c.created).label("first"),
@@ -196,6 +197,19 @@ def _certificates(asked: Condition) -> Select[Any]:
     )  # fmt: skip
 
 
+def _issued(asked: Condition) -> Select[Any]:
+    one = ISSUED.c
+    return (
+        select(
+            one.number, one.state, one.time, one.by, RUNS.c.name.label("run"), RUNS.c.unit, RUNS.c.bench,
+            RUNS.c.created, one.register,
+        )
+        .select_from(ISSUED.join(RUNS, one.head == RUNS.c.head))
+        .where(asked)
+        .order_by(one.number, one.register)
+    )  # fmt: skip
+
+
 def _folders(asked: Condition) -> Select[Any]:
     bad = and_(FOLDERS.c.reason.is_not(None), FOLDERS.c.run.is_(None))
     told = and_(FOLDERS.c.reason.is_not(None), FOLDERS.c.run.in_(select(RUNS.c.id).where(asked)))
@@ -210,9 +224,11 @@ KINDS: Final[Mapping[str, Callable[[Condition], Select[Any]]]] = {
     "operators": _grouped(RUNS.c.operator, func.count(RUNS.c.unit.distinct()).label("units")),
     "instruments": _instruments,
     "certificates": _certificates,
+    "issued": _issued,
     "folders": _folders,
 }
-"""What a question may be asked of: its runs, or what they have in common; `folders` are those that are bad."""
+"""What a question may be asked of: its runs, or what they have in common; `issued` are the certificates
+that this laboratory issued of their records as they are, `folders` those that are bad."""
 
 
 def _in_json(value: Any) -> Any:

@@ -24,6 +24,7 @@ from bench.catalogue.schema import (
     CERTIFICATES,
     DIAGNOSES,
     INSTRUMENTS,
+    ISSUED,
     RUNS,
     USES,
     VERIFICATIONS,
@@ -124,7 +125,9 @@ def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
 
 def _row_of(table: Table, *conditions: Condition) -> Condition:
     """Return whether a run has a row in a table that satisfies conditions."""
-    return exists(select(table.c.run).where(table.c.run == RUNS.c.id, *conditions).correlate(RUNS))
+    if conditions:  # by the index of what is asked for, and not run by run
+        return RUNS.c.id.in_(select(table.c.run).where(*conditions).correlate(None))
+    return exists(select(table.c.run).where(table.c.run == RUNS.c.id).correlate(RUNS))
 
 
 def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
@@ -208,6 +211,12 @@ def _certificate(value: str) -> Condition:
     return USES.c.certificate.in_(own.correlate(None))
 
 
+def _issued(operator: str, value: str) -> Condition:
+    own = select(ISSUED.c.id).where(ISSUED.c.head == RUNS.c.head).correlate(RUNS)
+    held = ~exists(own) if value == NONE else exists(own.where(_like(ISSUED.c.number, value)))
+    return _signed(operator, held)
+
+
 def _effect(value: str) -> Condition:
     names = ", " + DIAGNOSES.c.names + ", "
     return _like(names, f"*, {value}, *")
@@ -225,6 +234,7 @@ KEYS: Final[Mapping[str, Key]] = {
     "meter": Key("a voltmeter: its serial number, or all that names it", _among(USES, _meter)),
     "instrument": Key("any instrument, likewise", _among(USES, _instrument)),
     "certificate": Key("number of a certificate that the bench file states", _among(USES, _certificate)),
+    "issued": Key("number of a certificate that this laboratory issued of its record", _issued),
     "operator": Key("who ran it", _text(RUNS.c.operator)),
     "procedure": Key("name of the procedure file", _text(RUNS.c.procedure)),
     "plan": Key("hash of the plan", _text(RUNS.c.plan_hash)),

@@ -6,6 +6,8 @@ import hashlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
+from struct import Struct
 from typing import Final
 
 from bench.run.folder import PLAN
@@ -19,6 +21,8 @@ LINES: Final = "register.jsonl"
 
 _READ: Final = (".json", ".jsonl", ".yaml", ".csv")
 """Endings of what a catalogue reads in a run folder."""
+_NAME: Final = attrgetter("name")
+_SIZES: Final = Struct("<qqq")
 
 
 @dataclass(frozen=True)
@@ -72,18 +76,18 @@ def _folders(entries: list[os.DirEntry[str]]) -> Iterator[os.DirEntry[str]]:
 
 def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
     """Return a hash of names, sizes and times of the files of a run; empty where they may yet change unseen."""
-    rows, newest = [], 0
-    for entry in entries:
+    parts, newest = [], 0
+    for entry in sorted(entries, key=_NAME):
         if not entry.name.endswith(_READ):
             continue
         try:
             stat = entry.stat()
         except OSError:
-            rows.append((entry.name, -1, 0, 0))
+            parts.append(os.fsencode(entry.name))
             continue
-        rows.append((entry.name, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns))
-        newest = max(newest, stat.st_mtime_ns, stat.st_ctime_ns)
+        changed, made = stat.st_mtime_ns, stat.st_ctime_ns
+        parts += (os.fsencode(entry.name), _SIZES.pack(stat.st_size, changed, made))
+        newest = max(newest, changed, made)
     if now_ns - newest < SETTLED_NS:
         return ""
-    rows.sort()
-    return hashlib.blake2b(repr(rows).encode("utf-8", "surrogatepass"), digest_size=16).hexdigest()
+    return hashlib.blake2b(b"/".join(parts), digest_size=16).hexdigest()

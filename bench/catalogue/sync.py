@@ -27,8 +27,9 @@ from bench.base.progress import tracked
 from bench.base.visible import visible
 from bench.catalogue.folder import Found, read_folder
 from bench.catalogue.instruments import Row
+from bench.catalogue.issued import issued_in
 from bench.catalogue.scan import Seen, scan
-from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, OF_A_RUN, RUNS
+from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS
 from bench.catalogue.store import Catalogue
 from bench.run.manifest import MANIFEST
 
@@ -103,6 +104,7 @@ def sync(
     with catalogue.writing() as connection:
         _put_back(connection, back)
         _mark_odd(connection, seen.odd, done)
+        _write_registers(connection, seen.registers, done)
         done.vanished = _mark_vanished(connection, gone)
     return done
 
@@ -292,6 +294,18 @@ def _mark_odd(connection: Connection, odd: dict[str, str], done: Synced) -> None
         for path, why in odd.items()
     ]
     _upsert(connection, FOLDERS, rows)
+
+
+def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:
+    """Write what registers hold anew; one that cannot be believed is told, and what was known of it stays."""
+    for folder in registers:
+        try:
+            rows = issued_in(folder)
+        except Refused as error:
+            done.problems[folder] = str(error)
+            continue
+        connection.execute(delete(ISSUED).where(ISSUED.c.register == folder))
+        _upsert(connection, ISSUED, rows)
 
 
 def _mark_vanished(connection: Connection, rows: list[Row]) -> int:

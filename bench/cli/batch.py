@@ -12,6 +12,7 @@ import typer
 
 from bench.base.threads import one_thread
 from bench.cli import printing, progress
+from bench.cli.catalogue import CatalogueOption
 from bench.cli.options import (
     RUNS,
     BenchOption,
@@ -55,15 +56,6 @@ OverOption = Annotated[
 FolderOption = Annotated[
     Path,
     typer.Option("--out", metavar="FOLDER", help="Folder of the batch; the same command goes on with it."),
-]
-CatalogueOption = Annotated[
-    str | None,
-    typer.Option(
-        "--catalogue",
-        metavar="FILE|URL",
-        envvar="TRIAXIAL_BENCH_CATALOGUE",
-        help="Catalogue that a query asks (default: the user's own).",
-    ),
 ]
 WorkersOption = Annotated[
     int | None,

@@ -89,7 +89,7 @@ def ask(
         typer.Option(
             "--of",
             metavar="WHAT",
-            help="runs, coefficients, units, benches, operators, instruments, certificates or folders.",
+            help="runs, coefficients, units, benches, operators, instruments, certificates, issued or folders.",
         ),
     ] = "runs",
     csv: Annotated[

@@ -82,11 +82,16 @@ def print_chart(found: CheckBlockChart, out: Console) -> None:
     out.print(f"Control chart of the check block {found.block}{kind}: {_runs(len(own.later))} against {what}")
     if own.verdicts:
         out.print(_runs_table(own))
+        out.print("")
         out.print(_coefficients_table(found))
-        factor = f" times {float(own.centre.scale) ** 0.5:.2f}" if own.design.basis == "scaled" else ""
+        factor = float(own.centre.scale) ** 0.5
+        basis = {
+            "stated": "stated u",
+            "scaled": f"stated u, times {factor:.2f} as the baseline shows",
+            "scatter": "the scatter of the baseline",
+        }[own.design.basis]
         out.print(
-            f"false alarms: one in {own.design.arl:g} runs, all three statistics together; limits from "
-            f"{own.design.basis} u{factor}"
+            f"false alarms: one in {own.design.arl:g} runs, all three statistics together; limits from {basis}"
         )
     printing.notes_on(out, (*found.notes, *own.notes))
     out.print(found.sentence(), style="bold")

@@ -11,6 +11,8 @@ from bench.batch.job import CALIBRATE, Job
 from bench.batch.listing import fingerprint, list_runs
 from bench.batch.outcome import asked_of, conclude
 from bench.batch.store import Store
+from bench.catalogue.store import open_catalogue
+from bench.catalogue.sync import sync
 from tests.support.many_runs import runs_in
 
 OVER = ["runs/*"]
@@ -204,6 +206,18 @@ def test_patterns_name_runs_folders_of_runs_and_runs_by_name(runs, tmp_path):
     assert list_runs([str(here)], here).runs == tuple(runs)
     assert list_runs(["run-[12]", "run-2"], here).runs == tuple(runs[:2])
     assert list_runs(["**/run-1"], here).runs == (runs[0],)
+
+
+def test_a_query_asks_the_catalogue(runs, tmp_path):
+    where = str(tmp_path / "catalogue.sqlite")
+    with open_catalogue(where) as opened:
+        sync(opened, [tmp_path / "runs"])
+    asked = ["procedure=* simulated=yes", "type=triaxial block of the paper"]
+    assert list_runs(asked, tmp_path, where).runs == (runs[0],)  # the others are copies of it
+    with pytest.raises(Refused, match="the catalogue has no run of which this holds"):
+        list_runs(["simulated=no"], tmp_path, where)
+    with pytest.raises(Refused, match="no key colour"):
+        list_runs(["colour=red"], tmp_path, where)
 
 
 @pytest.mark.parametrize(

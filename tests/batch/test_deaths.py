@@ -91,3 +91,20 @@ def test_processes_that_never_come_up_end_the_batch(monkeypatch):
 
 def test_without_runs_nothing_is_begun(monkeypatch):
     assert rows_of(monkeypatch, [], 3, deadly=()) == []
+
+
+def test_a_process_that_cannot_be_begun_is_tried_again(monkeypatch):
+    failures = iter([EOFError(), ConnectionRefusedError("nobody there")])
+
+    class Flaky(Context):
+        def Process(self, target, args, daemon):  # noqa: N802
+            process = super().Process(target, args, daemon)
+            failure = next(failures, None)
+            if failure is not None:
+                process.start = lambda: (_ for _ in ()).throw(failure)
+            return process
+
+    monkeypatch.setattr(processes, "_context", lambda: Flaky(deadly=()))
+    monkeypatch.setattr(processes, "wait", lambda parts: parts)
+    rows = list(_Pool(Job(CALIBRATE), iter(["/runs/1", "/runs/2"]), 1, 1000).rows())
+    assert [row["run"] for row in rows] == ["/runs/1", "/runs/2"]
