@@ -73,8 +73,10 @@ def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
                 unit = VOLTAGE if name.startswith("U0") else SCALE_FACTOR
                 coefficient_goals({name: (asked := quantity("--until", size, unit))})
                 sizes[combined][name] = asked
-        except (Refused, CalibrationError) as mistake:
-            mistakes.append(str(mistake) if "--until" in str(mistake) else f"--until {text}: {mistake}")
+        except Refused as mistake:
+            mistakes.append(mistake.typed)
+        except CalibrationError as mistake:
+            mistakes.append(f"--until {text}: {mistake}")
     if mistakes:
         raise Refused("\n".join(mistakes))
     for combined, asked_of in sizes.items():

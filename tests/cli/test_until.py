@@ -109,3 +109,12 @@ def test_a_goal_below_the_floor_is_refused_before_there_is_a_run(ended, capsys, 
     assert main(["run", "few.yaml", "--dry-run", "--name", "never", "--until", "all=1e-5"]) == 2
     assert "what makes it: zero offset" in " ".join(capsys.readouterr().err.split())
     assert not Path("runs/never").exists()
+
+
+def test_all_goals_that_cannot_be_understood_are_told_at_once(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("few.yaml").write_text(PROCEDURE)
+    assert main(["run", "few.yaml", "--dry-run", "--until", "foo,al=5e-5", "--until", "Kxx=-1"]) == 2
+    said = capsys.readouterr().err
+    assert [line.count("until") for line in said.splitlines()] == [1, 1, 1]
+    assert "--until foo: a name" in said and "no coefficient 'al'" in said and "not -1" in said
