@@ -239,6 +239,7 @@ def calibration_of(
         nominal_angles=nominal_angles,
         join_free=join_free,
         join_verification=join_verification,
+        known=source.known,
     )
     return CalibrationResult(
         source, sign(found, source.readings, source.bench, source.model, source.traced.day)

@@ -9,8 +9,9 @@ from typing import Final
 
 from bench.api.origin import SUFFIX, Told
 from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
+from bench.files.bench.learned import LearnedFile, load_learned
 from bench.files.shipped import find_bench
-from bench.run.folder import BENCH, Run
+from bench.run.folder import BENCH, LEARNED, Run
 from bench.run.manifest import sha256 as sha256_of
 
 DEFAULT_BENCH: Final = "paper-stand"
@@ -31,6 +32,20 @@ class BenchTaken:
     def stated(self) -> bool:
         """Whether anybody said that these readings are of this bench: else it stands in for theirs."""
         return self.why != _NONE_NAMED
+
+    @property
+    def learned_path(self) -> Path | None:
+        """Where the learned file is that it names: beside it, or the run's copy of it; None where it names none."""
+        if self.file.learned is None:
+            return None
+        own = Path(self.where)
+        copy = own.with_name(LEARNED)
+        return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
+
+    def learned(self) -> LearnedFile | None:
+        """Return what was learned of the bench, None where its file names none. Raises `FileMistakes`."""
+        path = self.learned_path
+        return None if path is None else load_learned(path, self.file)
 
     @property
     def words(self) -> str:

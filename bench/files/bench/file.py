@@ -63,6 +63,7 @@ class BenchFile(FileModel):
     uncertainty: UncertaintySection = UncertaintySection()
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
+    learned: str | None = None
     simulation: SimulationSection = SimulationSection()
 
     @field_validator("line_frequency")
