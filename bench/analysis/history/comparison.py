@@ -1,7 +1,6 @@
 """Compare calibrations of one block: E_n, a joint chi-square, drift.
 
-Sources: ISO 13528:2022, 9.7 and ISO/IEC 17043:2023, annex B (E_n numbers, U with k = 2); S. Holm, "A simple
-sequentially rejective multiple test procedure", Scand. J. Statist. 6 (1979), for the number of looks.
+Source: ISO 13528:2022, 9.7 and ISO/IEC 17043:2023, annex B (E_n numbers, U with k = 2).
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.same_meters import METERS_DRIFT, drifted
 from bench.base.arrays import Floats, Mask, u_of
+from bench.base.looks import holm
 from bench.model.block import COEFFICIENTS
 
 CHANGED_P: Final = 0.05
@@ -223,15 +223,6 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     )
     drifts = dated and len(dates) >= LEAST_FOR_DRIFT and max(dates) - min(dates) >= LEAST_SPAN
     return Comparison(alike[0], changes, _constant(alike), _drift(alike, dates) if drifts else None, notes)
-
-
-def holm(p: Floats) -> Floats:
-    """Return probabilities (m,) adjusted for m looks: p_(k) times (m - k), never falling, at most 1."""
-    order = np.argsort(p)
-    stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    adjusted = np.empty_like(p)
-    adjusted[order] = np.minimum(stepped, 1.0)
-    return adjusted
 
 
 def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from bench.analysis.calibration import CalibrationError, calibrate
-from bench.analysis.history.comparison import Snapshot, compare, holm
+from bench.analysis.history.comparison import Snapshot, compare
 from bench.model.block import COEFFICIENTS
 from bench.readings.csv import write_csv
 from tests.support.paper_bench import STAND_U, TRUTH, simulate
@@ -79,11 +79,6 @@ def test_a_bias_that_wanders_during_a_run_goes_on_between_runs():
     added = compare(both).changes[0].u ** 2 - 2 * U**2
     np.testing.assert_allclose(added[9:], 2 * 2.0 * wander**2, atol=1e-18)
     np.testing.assert_allclose(added[:9], 0.0, atol=1e-18)
-
-
-def test_holm_is_that_of_its_published_example():
-    """Four looks at 0.01, 0.04, 0.03, 0.005: adjusted 0.03, 0.06, 0.06, 0.02."""
-    assert holm(np.array([0.01, 0.04, 0.03, 0.005])) == pytest.approx([0.03, 0.06, 0.06, 0.02])
 
 
 def test_of_unchanged_blocks_about_one_in_twenty_is_told_changed():

@@ -1,0 +1,283 @@
+"""How the coefficients of one block change from calibration to calibration, and what they are expected to be later.
+
+Each coefficient by itself: value = level + rate · time + random walk + scatter between calibrations + the error of
+the calibration, of its stated u. The sizes of walk and scatter are found by restricted maximum likelihood; few
+calibrations leave them open, so that u of a rate and of an expected value averages over all sizes that the
+likelihood leaves, with half-t priors of three degrees of freedom on both, as wide as the scatter and u.
+Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (the likelihood); P. de Jong, Ann. Statist. 19 (1991)
+1073 (filter with fixed effects); A. Gelman, Bayesian Analysis 1 (2006) 515 (priors of sizes).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.history.comparison import LEAST_FOR_DRIFT, LEAST_SPAN, SECONDS_PER_YEAR
+from bench.base.arrays import Floats, Ints, Mask
+from bench.base.numbers import finite_or_none
+from bench.model.block import COEFFICIENTS
+
+Dates = NDArray[np.datetime64]
+
+SHOWN_P: Final = 0.05
+"""A rate is shown when chance makes one so large, in any of the twelve, less often than this."""
+GRID: Final = 14
+LEAST_SIZE: Final = 0.02
+"""Sizes below this part of their scale are as good as none."""
+MOST_SIZE: Final = 30.0
+PRIOR_DOF: Final = 3.0
+FORGOTTEN: Final = 12.0
+"""Sizes whose logarithmic density is so far below the greatest do not count."""
+LEVEL: Final = 0.95
+
+
+@dataclass(frozen=True)
+class UnitDrift:
+    """What n calibrations of one block tell of its drift; arrays are (12,), in the order of `COEFFICIENTS`.
+
+    `rate` with `u_rate` per year; `between` the scatter between calibrations beyond their stated u and `walk` the
+    random walk in a year, 1 sigma, as the restricted likelihood has them (0: none is shown), each below its
+    `…_most` with 95 %. `first` and `last` are the dates of the calibrations, `count` their number. `p_all_looks`
+    is the probability of such a rate by chance in any of twelve (Bonferroni). Predictions are made of `states`.
+    """
+
+    rate: Floats
+    u_rate: Floats
+    p_all_looks: Floats
+    between: Floats
+    between_most: Floats
+    walk: Floats
+    walk_most: Floats
+    first: np.datetime64
+    last: np.datetime64
+    count: int
+    states: States
+    common: Floats
+
+    @property
+    def shown(self) -> Mask:
+        """Which coefficients drift at a rate beyond its uncertainty, shape (12,)."""
+        return self.p_all_looks < SHOWN_P
+
+    def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
+        """Return the values expected at dates (…) and their standard uncertainties, (…, 12) each.
+
+        u is that of the coefficient as an errorless calibration would find it on that day: scatter between
+        calibrations is in it. Raises `CalibrationError` for a date before the last calibration.
+        """
+        days = np.asarray(date, dtype="datetime64[s]")
+        years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
+        if not np.all(years >= self.states.last_year - 1e-9):
+            raise CalibrationError(
+                f"a history foretells what comes after its last calibration ({self.last.astype('datetime64[D]')}); "
+                f"asked for {days.min().astype('datetime64[D]')}"
+            )
+        value, variance = self.states.predicted(years)
+        shape = (*days.shape, len(self.rate))
+        return value.reshape(shape), np.sqrt(variance + self.common**2).reshape(shape)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result: rates and sizes per year by coefficient."""
+        rows = zip(
+            COEFFICIENTS, self.rate, self.u_rate, self.p_all_looks, self.shown, self.between, self.between_most,
+            self.walk, self.walk_most, strict=True,
+        )  # fmt: skip
+        return {
+            "calibrations": self.count,
+            "first": str(self.first.astype("datetime64[D]")),
+            "last": str(self.last.astype("datetime64[D]")),
+            "per_year": {
+                name: {
+                    "value": float(rate),
+                    "u": float(u),
+                    "p_all_looks": finite_or_none(float(p)),
+                    "shown": bool(shown),
+                    "between_calibrations": {"value": float(between), "at_most": float(most)},
+                    "random_walk": {"value": float(walk), "at_most": float(walk_most)},
+                }
+                for name, rate, u, p, shown, between, most, walk, walk_most in rows
+            },
+        }
+
+
+@dataclass(frozen=True)
+class States:
+    """What is known at the last calibration, for each coefficient and pair of sizes: (12, m) but for the last axes.
+
+    `weight` sums to 1 over m; `between` and `walk` are variances (per year); `line` (12, m, 2) level and rate with
+    `covariance` (12, m, 2, 2); `walked` (12, m) what the walk has come to, `columns` (12, m, 2) that of the
+    columns of the line, `left` (12, m) its variance. `last_year` counts from the first calibration.
+    """
+
+    last_year: float
+    weight: Floats
+    between: Floats
+    walk: Floats
+    line: Floats
+    covariance: Floats
+    walked: Floats
+    columns: Floats
+    left: Floats
+
+    def predicted(self, years: Floats) -> tuple[Floats, Floats]:
+        """Return mean and variance (d, 12) at years (d,) since the first calibration."""
+        at = np.stack([np.ones_like(years), years], axis=1)
+        columns = at[:, None, None, :] - self.columns
+        mean = np.einsum("dkmc,kmc->dkm", columns, self.line) + self.walked
+        further = (years - self.last_year)[:, None, None] * self.walk
+        own = np.einsum("dkmc,kmce,dkme->dkm", columns, self.covariance, columns)
+        return self._mixed(mean, own + self.left + further + self.between)
+
+    @cached_property
+    def rate(self) -> tuple[Floats, Floats]:
+        """Mean and variance (12,) of the rate, per year."""
+        mean, variance = self._mixed(self.line[None, :, :, 1], self.covariance[None, :, :, 1, 1])
+        return mean[0], variance[0]
+
+    def _mixed(self, mean: Floats, variance: Floats) -> tuple[Floats, Floats]:
+        centre = np.sum(self.weight * mean, axis=-1)
+        spread = np.sum(self.weight * (variance + (mean - centre[..., None]) ** 2), axis=-1)
+        return centre, spread
+
+
+def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats | None = None) -> UnitDrift:
+    """Return what calibrations `vector` (n, 12) of one block, at `when` (n,) in any order, tell of its drift.
+
+    `covariance` (n, 12, 12) are their stated ones. `common` (12,) are standard uncertainties, as part of the stated
+    ones, of what is alike in all of them, as the gain of the same meters: it moves no rate, and no number of
+    calibrations makes it smaller. Raises `CalibrationError` for fewer than three calibrations, or all of one day.
+    """
+    return history_drift(when, vector, np.diagonal(covariance, axis1=1, axis2=2), common)
+
+
+def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
+    """Return the drift of any m sizes, `values` (n, m) with `variance` (n, m), in place of the twelve; as above."""
+    order = np.argsort(when, kind="stable")
+    dates = np.asarray(when, dtype="datetime64[s]")[order]
+    seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)
+    if len(dates) < LEAST_FOR_DRIFT or seconds[-1] < LEAST_SPAN.total_seconds():
+        raise CalibrationError(
+            f"a drift needs {LEAST_FOR_DRIFT} calibrations or more over more than a day; there are {len(dates)}"
+        )
+    alike = np.zeros(values.shape[1]) if common is None else np.asarray(common, dtype=float)
+    stated = variance[order]
+    own = np.maximum(stated - alike**2, 1e-6 * stated)
+    years = seconds / SECONDS_PER_YEAR
+    history = _History(years, np.asarray(values, dtype=float)[order], own)
+    states, sizes = history.known()
+    rate, variance_of_rate = states.rate
+    p = special.erfc(np.abs(rate) / np.sqrt(2.0 * variance_of_rate))
+    return UnitDrift(
+        rate=rate, u_rate=np.sqrt(variance_of_rate), p_all_looks=np.minimum(1.0, len(rate) * p),
+        between=sizes[0], between_most=sizes[1], walk=sizes[2], walk_most=sizes[3],
+        first=dates[0], last=dates[-1], count=len(dates), states=states, common=alike,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _History:
+    """Values `y` (n, 12) with variances `own` (n, 12) at rising `years` (n,) since the first."""
+
+    years: Floats
+    y: Floats
+    own: Floats
+
+    @cached_property
+    def _scales(self) -> tuple[Floats, Floats]:
+        """Scales (12,) of scatter, and of the walk in the root of a year."""
+        line = np.stack([np.ones_like(self.years), self.years], axis=1)
+        left = self.y - line @ np.linalg.lstsq(line, self.y, rcond=None)[0]
+        scatter = np.sqrt(np.median(self.own, axis=0) + np.sum(left**2, axis=0) / (len(self.y) - 2))
+        return scatter, scatter / np.sqrt(self.years[-1] / (len(self.y) - 1))
+
+    def known(self) -> tuple[States, tuple[Floats, Floats, Floats, Floats]]:
+        """Return the states, and REML and upper limit of scatter and walk, (12,) each."""
+        lowest = np.full((2, self.y.shape[1]), np.log(LEAST_SIZE))
+        highest = np.full_like(lowest, np.log(MOST_SIZE))
+        for _ in range(2):
+            nodes = np.linspace(lowest, highest, GRID, axis=-1)
+            states, density, likelihood = self._at(nodes)
+            lowest, highest = _within(nodes, density)
+        between, walk = (np.exp(nodes[j]) * self._scales[j][:, None] for j in (0, 1))
+        found = []
+        best = likelihood.reshape(self.y.shape[1], -1).argmax(axis=1)
+        share = states.weight.reshape(density.shape)
+        for sizes, index, along in ((between, best // GRID, 2), (walk, best % GRID, 1)):
+            found.append(np.where(index == 0, 0.0, _taken(sizes, index)))
+            found.append(_taken(sizes, np.argmax(np.cumsum(share.sum(axis=along), axis=1) >= LEVEL, axis=1)))
+        return states, (found[0], found[1], found[2], found[3])
+
+    def _at(self, nodes: Floats) -> tuple[States, Floats, Floats]:
+        """Filter at all pairs of logarithmic sizes (2, 12, g): states, log density and likelihood (12, g, g)."""
+        scatter, step = self._scales
+        between = np.exp(2 * nodes[0]) * scatter[:, None] ** 2
+        walk = np.exp(2 * nodes[1]) * step[:, None] ** 2
+        tau = np.repeat(between, GRID, axis=1)
+        q = np.tile(walk, (1, GRID))
+        squares, logs, walked, left = self._filtered(tau, q)
+        precision = squares[:, :, 1:, 1:]
+        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+        line = np.einsum("kmce,kme->kmc", covariance, squares[:, :, 1:, 0])
+        misfit = squares[:, :, 0, 0] - np.einsum("kmc,kmc->km", line, squares[:, :, 1:, 0])
+        likelihood = -0.5 * (logs + np.linalg.slogdet(precision)[1] + misfit)
+        prior = [-0.5 * (PRIOR_DOF + 1) * np.log1p(np.exp(2 * n) / PRIOR_DOF) + n for n in nodes]
+        shape = (self.y.shape[1], GRID, GRID)
+        density = likelihood.reshape(shape) + prior[0][:, :, None] + prior[1][:, None, :]
+        heights = np.exp(density - density.max(axis=(1, 2), keepdims=True)).reshape(tau.shape)
+        weight = heights / heights.sum(axis=1, keepdims=True)
+        gone = walked[:, :, 0] - np.einsum("kmc,kmc->km", walked[:, :, 1:], line)
+        columns = walked[:, :, 1:]
+        # the walk of the columns is taken off by `columns`, so that of the values stands alone
+        states = States(
+            float(self.years[-1]), weight, tau, q, line, covariance,
+            gone + np.einsum("kmc,kmc->km", columns, line), columns, left,
+        )  # fmt: skip
+        return states, density, likelihood.reshape(shape)
+
+    def _filtered(self, tau: Floats, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Run the filter of the walk over values and columns of the line, for variances (12, m).
+
+        Return sums of squares and products of whitened innovations (12, m, 3, 3), the sum of logarithms of their
+        variances, the walk of each (12, m, 3), and its variance (12, m).
+        """
+        walked = np.zeros((*tau.shape, 3))
+        left, logs = np.zeros_like(tau), np.zeros_like(tau)
+        squares = np.zeros((*tau.shape, 3, 3))
+        before = 0.0
+        for year, y, own in zip(self.years, self.y, self.own, strict=True):
+            left = left + q * (year - before)
+            before = year
+            spread = left + own[:, None] + tau
+            seen = np.stack([y, np.ones_like(y), np.full_like(y, year)], axis=-1)[:, None, :] - walked
+            squares += seen[..., :, None] * (seen / spread[..., None])[..., None, :]
+            logs += np.log(spread)
+            part = left / spread
+            walked = walked + part[..., None] * seen
+            left = left * (1.0 - part)
+        return squares, logs, walked, left
+
+
+def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
+    """Return the ends (2, 12) of the nodes that count, and a node more to each side."""
+    top = density.max(axis=(1, 2), keepdims=True)
+    counts = density > top - FORGOTTEN
+    ends: list[Floats] = []
+    for pick in (0, -1):
+        for j, other in ((0, 2), (1, 1)):
+            some = counts.any(axis=other)
+            first = some.argmax(axis=1) if pick == 0 else GRID - 1 - some[:, ::-1].argmax(axis=1)
+            further = np.clip(first + (-1 if pick == 0 else 1), 0, GRID - 1)
+            ends.append(_taken(nodes[j], further))
+    return np.stack(ends[:2]), np.stack(ends[2:])
+
+
+def _taken(values: Floats, index: Ints) -> Floats:
+    """Return one of each row of values (12, g)."""
+    return np.take_along_axis(values, index[:, None], axis=1)[:, 0]

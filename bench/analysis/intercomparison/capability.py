@@ -1,0 +1,165 @@
+"""Calibration and measurement capability: what uncertainty a laboratory reaches, from its own history.
+
+For each coefficient the stated uncertainty that a share of everyday calibrations reaches, and with it what stated
+uncertainties have not in them: calibrations of one unit that scatter more over time, and benches that differ. The
+units at hand are the best existing devices: how they change between calibrations is in the scatter.
+Sources: ILAC-P14:09/2020, 5 (expanded uncertainty, k = 2, best existing device); H. A. David, H. N. Nagaraja,
+Order Statistics (2003), 7.1 (limits of quantiles).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy import stats
+
+from bench.analysis.calibration.conformity import COVERAGE_FACTOR
+from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.intercomparison.crossed import BENCH, EXCESS, Crossing, fit, most
+from bench.analysis.intercomparison.measured import STANDARD_GRAVITY, Measured, coded
+from bench.base.arrays import Floats
+from bench.base.numbers import finite_or_none
+from bench.model.block import COEFFICIENTS
+
+EVERYDAY: Final = 0.5
+"""The share of everyday calibrations that reach what is stated."""
+CONFIDENCE: Final = 0.95
+LEAST_CALIBRATIONS: Final = 20
+LEAST_REPEATS: Final = 10
+"""With so many degrees of freedom a standard deviation is known to 22 %."""
+LEAST_DAYS: Final = 180
+
+
+@dataclass(frozen=True)
+class Capability:
+    """The capability, (12,) each: `stated` u at the share `quantile` with its limit `stated_most` of 95 %.
+
+    `scatter` of calibrations of a unit in excess of what is stated and `bench` between benches, 1 sigma, with
+    limits of 95 %; `bench` is NaN where there is one bench. `below` counts calibrations whose stated U is below the
+    capability: their certificates are to state the latter.
+    """
+
+    quantile: float
+    stated: Floats
+    stated_most: Floats
+    scatter: Floats
+    scatter_most: Floats
+    bench: Floats
+    bench_most: Floats
+    below: Floats
+    counts: dict[str, Any]
+    signal: str
+    simulated: bool
+    notes: tuple[str, ...]
+
+    @property
+    def u(self) -> Floats:
+        """Combined standard uncertainty, (12,)."""
+        return np.sqrt(self.stated**2 + self.scatter**2 + np.nan_to_num(self.bench) ** 2)
+
+    @property
+    def U(self) -> Floats:  # noqa: N802 - the symbol of the field
+        """Expanded uncertainty, k = 2, (12,)."""
+        return COVERAGE_FACTOR * self.u
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        rows = zip(
+            COEFFICIENTS, self.U, self.u, self.stated, self.stated_most, self.scatter, self.scatter_most,
+            self.bench, self.bench_most, self.below, strict=True,
+        )  # fmt: skip
+        return {
+            "quantity": "coefficients of a triaxial accelerometer block, by gravity",
+            "device": "the best existing: the blocks of the history",
+            "k": COVERAGE_FACTOR,
+            "quantile": self.quantile,
+            "signal": self.signal,
+            "per_g_m_s2": STANDARD_GRAVITY,
+            "simulated": self.simulated,
+            **self.counts,
+            "coefficients": {
+                name: {
+                    "U": float(U), "u": float(u),
+                    "stated": {"value": float(own), "at_most": finite_or_none(float(own_most))},
+                    "scatter_over_time": {"value": float(s), "at_most": finite_or_none(float(s_most))},
+                    "between_benches": None if np.isnan(b) else
+                    {"value": float(b), "at_most": finite_or_none(float(b_most))},
+                    "calibrations_that_state_less": int(less),
+                }
+                for name, U, u, own, own_most, s, s_most, b, b_most, less in rows
+            },
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+
+def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
+    """Return the capability that a laboratory's calibrations show.
+
+    Raises `CalibrationError` with all that the history lacks where it is too short to say.
+    """
+    (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
+    _, kind = coded(measured.kind)
+    crossing = Crossing(unit, bench, kind)
+    days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
+    several = len(benches) > 1
+    _refuse_short(crossing, days, several=several)
+    variance = measured.own_variance
+    found = [
+        fit(crossing, np.ascontiguousarray(y), np.ascontiguousarray(v), without=None if several else BENCH)
+        for y, v in zip(measured.vector.T, variance.T, strict=True)
+    ]
+    stated = np.sort(np.sqrt(measured.variance), axis=0)
+    ranks = _ranks(len(measured), quantile)
+    sizes = np.array([one.sizes for one in found])
+    limits = np.array(
+        [[most(one, j) if j == EXCESS or several else np.nan for j in (EXCESS, BENCH)] for one in found]
+    )
+    unknown = [
+        name for name, own, limit in zip(COEFFICIENTS, stated[-1], limits[:, 0], strict=True) if limit > own
+    ]
+    notes = []
+    if unknown:
+        notes.append(
+            f"{', '.join(unknown)}: what calibrations of a unit scatter by may exceed every stated uncertainty"
+        )
+    if not several:
+        notes.append("one bench alone: what another would differ by is not in it")
+    shown = Capability(
+        quantile, stated[ranks[0]], stated[ranks[1]], sizes[:, EXCESS], limits[:, 0],
+        sizes[:, BENCH] if several else np.full(len(COEFFICIENTS), np.nan), limits[:, 1],
+        np.zeros(len(COEFFICIENTS)),
+        {
+            "calibrations": len(measured), "units": len(units), "benches": benches.tolist(), "days": days,
+            "first": str(measured.when.min().astype("datetime64[D]")),
+            "last": str(measured.when.max().astype("datetime64[D]")),
+            "repeats": crossing.repeated,
+        },
+        measured.signal, measured.simulated, tuple(notes),
+    )  # fmt: skip
+    below = np.sum(np.sqrt(measured.variance) < shown.u, axis=0)
+    return Capability(**{**shown.__dict__, "below": below.astype(float)})
+
+
+def _ranks(count: int, quantile: float) -> tuple[int, int]:
+    """Return the places, in rising order, of a quantile and of its upper limit of 95 %."""
+    place = min(count - 1, int(np.ceil(quantile * count)) - 1)
+    limit = int(stats.binom.ppf(CONFIDENCE, count, quantile))
+    return max(place, 0), min(limit, count - 1)
+
+
+def _refuse_short(crossing: Crossing, days: int, *, several: bool) -> None:
+    lacks = []
+    if len(crossing.unit) < LEAST_CALIBRATIONS:
+        lacks.append(f"{len(crossing.unit)} calibrations ({LEAST_CALIBRATIONS} are needed)")
+    if crossing.repeated < LEAST_REPEATS:
+        lacks.append(f"{crossing.repeated} repeated calibrations of a unit ({LEAST_REPEATS} are needed)")
+    if days < LEAST_DAYS:
+        lacks.append(f"{days} days between the first and the last ({LEAST_DAYS} are needed)")
+    if several and len(crossing.alone()):
+        lacks.append(
+            "benches that share no unit with another (each is to have measured one that another has, too)"
+        )
+    if lacks:
+        raise CalibrationError(f"the history is too short for a statement of capability: {'; '.join(lacks)}")

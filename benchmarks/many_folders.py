@@ -1,0 +1,400 @@
+"""Writes simulated run folders by the ten thousand, as a dry run leaves them, without page, log and samples.
+
+    python -m benchmarks.many_folders 1000 /var/tmp/laboratory --seed 1 --benches 10 --units 100
+
+One real dry run of the paper's points (54 readings and four verification points) is the template. The others are
+drawn in numpy from a truth that `truth.json` beside them keeps: units with spread and drift, effects of benches,
+meters that move between benches, mounting, setting and noise of each run. In each folder stand the inputs, a
+record with its true chain of hashes, and results: coefficients by least squares with prior angles of the stand,
+at the template's covariance (so they differ from `bench calibrate` of the folder by a part of u), with the errors
+that this covariance allows drawn anew for each run. In every 33rd run acts a quadratic term, of x and z together,
+that no calibration there knows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import ARCSEC, Floats
+from bench.files.shipped import find_bench
+from bench.model.block import COEFFICIENTS
+from benchmarks.certificate_desk import command
+from benchmarks.laboratory_truth import (
+    FIRST_DAY,
+    STAND_SD,
+    TARGET_DEG,
+    WHERE,
+    Estimator,
+    Truth,
+    forces,
+    signals,
+)
+from drivers.clock import utc_now
+
+PROCEDURE: Final = """\
+procedure: paper-once
+title: The paper's points, one sample each, without warm-up
+reading: {samples: 1, nplc: 10, settle: 0 s}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - repeat:
+            directions: [rising, rising, rising]
+            steps: [turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}]
+  - installation:
+      label: 2
+      steps:
+        - repeat:
+            directions: [rising, rising, rising]
+            steps: [turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}]
+  - installation: {label: V, steps: [turn: {angles: [45 deg, 135 deg, 225 deg, 315 deg]}]}
+"""
+METER: Final = """\
+    - driver: keysight-34461a
+      channels: [%(channel)s]
+      resource: "TCPIP0::192.0.2.%(place)d::5025::SOCKET"
+      range: 10 V
+      certificate:
+        number: "%(number)s"
+        laboratory: Accredited Laboratory
+        date: %(year)d-01-02
+        valid_until: %(year)d-12-31
+        serial: %(serial)s
+        values: [{range: 10 V, gain: {U: 4 ppm, k: 2}, offset: {U: 5 uV, k: 2}}]
+"""
+TYPES: Final = ("triaxial block A", "triaxial block B", "triaxial block C")
+OPERATORS: Final = ("A. Example", "B. Example", "C. Example", "D. Example", "E. Example")
+LIMIT_G: Final = 3e-4
+CHUNK: Final = 500
+ODD: Final = 33
+"""Every so manyth run has `ODD_KXZ` times the forces along x and z in its channel x, V/g²."""
+ODD_KXZ: Final = 4e-3
+
+
+@dataclass
+class Template:
+    """The folder of a real dry run, cut into what stays and what changes."""
+
+    folder: Path
+    events: list[dict[str, Any]] = field(init=False)
+    calibrated: dict[str, Any] = field(init=False)
+    verified: dict[str, Any] = field(init=False)
+    manifest: dict[str, Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        lines = (self.folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+        self.events = [json.loads(line) for line in lines]
+        self.calibrated, self.verified, self.manifest = (
+            json.loads((self.folder / f"{name}.json").read_text(encoding="utf-8"))
+            for name in ("calibrate", "verify", "run")
+        )
+        self.covariance = np.array(self.calibrated["covariance"])
+        self.of_readings = np.array(self.calibrated["covariance_readings"])
+        self.theta = np.array([self.calibrated["coefficients"][name]["value"] for name in COEFFICIENTS])
+        self.noise_v = float(self.calibrated["noise"]["reading_v"])
+        self.fixed = {k: json.dumps(v, ensure_ascii=False) for k, v in self.calibrated.items()}
+        compact = json.dumps(json.loads((self.folder / "plan.json").read_bytes()), separators=(",", ":"))
+        self.inputs = {
+            "plan.json": compact.encode(),
+            "procedure.yaml": (self.folder / "procedure.yaml").read_bytes(),
+        }
+        self.hashes = {name: hashlib.sha256(content).hexdigest() for name, content in self.inputs.items()}
+        self.parts = [self._parts(event) for event in self.events]
+
+    def _parts(self, event: dict[str, Any]) -> tuple[str, str, str]:
+        """Return the kind of a line, its text before the time, and that between the time and `prev`."""
+        kind = "reading" if "reading" in event else "turn" if "angle_deg" in event else event["type"]
+        rest = {k: v for k, v in event.items() if k not in ("n", "time", "prev")}
+        text = json.dumps(rest, ensure_ascii=False)[1:-1]
+        return kind, f'{{"n": {event["n"]}, "time": "', f'.{event["n"]:06}+00:00", {text}'
+
+
+@dataclass
+class Writer:
+    """Writes the folders of a laboratory."""
+
+    template: Template
+    truth: Truth
+    out: Path
+    seed: int
+    bench_files: dict[tuple[int, int, int], tuple[str, bytes]] = field(default_factory=dict)
+
+    def write(self) -> None:
+        """Write all folders."""
+        estimator = Estimator(self.template.theta, self.template.noise_v)
+        for begin in range(0, len(self.truth.unit), CHUNK):
+            self._write_chunk(np.arange(begin, min(begin + CHUNK, len(self.truth.unit))), estimator)
+
+    def _write_chunk(self, runs: np.ndarray[Any, np.dtype[np.int64]], estimator: Estimator) -> None:
+        template, truth = self.template, self.truth
+        random = np.random.default_rng([self.seed, 2, int(runs[0])])
+        rest = template.covariance - template.of_readings
+        size, axes = np.linalg.eigh(rest)
+        errors = random.normal(size=(len(runs), 12)) * np.sqrt(np.maximum(size, 0.0)) @ axes.T
+        unit, bench = truth.unit[runs], truth.bench[runs]
+        theta = truth.units[unit] + truth.drift[unit] * (truth.day[runs, None] / 365.25)
+        theta = theta + truth.benches[bench] + errors
+        set_arcsec = np.round(random.normal(0.0, 2.0, (len(runs), len(WHERE))))
+        read_rad = np.radians(TARGET_DEG) + set_arcsec * ARCSEC
+        true_rad = read_rad + random.uniform(-0.5, 0.5, read_rad.shape) * ARCSEC
+        stand = random.normal(size=(len(runs), 3, 5)) * STAND_SD
+        force = forces(true_rad, stand)
+        seen = signals(theta, force) + random.normal(0.0, template.noise_v, force.shape)
+        odd = np.where(runs % ODD == ODD - 1, ODD_KXZ, 0.0)[:, None]
+        seen[:, :, 0] += odd * force[:, :, 0] * force[:, :, 2]
+        seen = np.round(seen, 6)
+        found, rms, chi2, scatter = estimator(template.theta, read_rad, seen)
+        matrix = np.linalg.inv(found[:, :9].reshape(-1, 3, 3))
+        g_p = np.linalg.norm(
+            np.einsum("rij,rnj->rni", matrix, seen[:, WHERE == 2] - found[:, None, 9:]), axis=-1
+        )
+        angles = np.round(np.degrees(read_rad), 9)
+        p = special.chdtrc(42, chi2)
+        for k, run in enumerate(runs):
+            residual = {"rms": rms[k], "chi2": chi2[k], "dof": 42, "p": p[k], "birge": 1.0}
+            self._write_run(int(run), angles[k], seen[k], found[k], g_p[k], residual, float(scatter[k]))
+
+    def _write_run(
+        self,
+        run: int,
+        angles: Floats,
+        seen: Floats,
+        found: Floats,
+        g_p: Floats,
+        residual: dict[str, float],
+        scatter: float,
+    ) -> None:
+        unit, bench = int(self.truth.unit[run]), int(self.truth.bench[run])
+        when = FIRST_DAY + timedelta(days=float(self.truth.day[run]))
+        stamp = when.strftime("%Y-%m-%dT%H:%M:%S")
+        kind = unit % len(TYPES)
+        digest, bench_text = self._bench_file(bench, when.year, kind)
+        folder = self.out / f"simulated-{run:06}"
+        manifest = {
+            **self.template.manifest,
+            "name": folder.name,
+            "created": f"{stamp}.000000+00:00",
+            "seed": run,
+            "operator": OPERATORS[(run // 7) % len(OPERATORS)],
+            "procedure": "paper-once.yaml",
+            "bench": f"bench-{bench:02}.yaml",
+            "unit_under_test": {"type": TYPES[kind], "serial": f"{unit:05}"},
+            "files": {**self.template.hashes, "bench.yaml": digest},
+        }
+        run_text = json.dumps(manifest).encode()
+        serials = meters_of(bench, when.year)
+        events, head = self._events(hashlib.sha256(run_text).hexdigest(), stamp, angles, seen, serials)
+        files = {
+            **self.template.inputs,
+            "bench.yaml": bench_text,
+            "run.json": run_text,
+            "events.jsonl": events,
+            "calibrate.json": self._calibrated(manifest, found, residual, scatter, head, serials, bench),
+            "verify.json": self._verified(g_p, angles[WHERE == 2], folder.name, bench, digest),
+        }
+        folder.mkdir()
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
+
+    def _bench_file(self, bench: int, year: int, kind: int) -> tuple[str, bytes]:
+        """Return the hash and the text of the bench file of a bench in a year, with blocks of a type."""
+        if (bench, year, kind) not in self.bench_files:
+            text = bench_text(f"bench-{bench:02}", meters_of(bench, year), year, TYPES[kind]).encode()
+            self.bench_files[bench, year, kind] = hashlib.sha256(text).hexdigest(), text
+        return self.bench_files[bench, year, kind]
+
+    def _events(
+        self, before: str, stamp: str, angles: Floats, seen: Floats, serials: tuple[str, ...]
+    ) -> tuple[bytes, str]:
+        """Return the record and its head."""
+        head = before
+        lines, number = [], -1
+        for (kind, first, rest), event in zip(self.template.parts, self.template.events, strict=True):
+            text = rest
+            if kind == "turn":
+                number += 1
+                text = _turned(rest, event["angle_deg"], angles[number])
+            elif kind == "reading":
+                reading = {**event["reading"], "angle_deg": angles[number], "mean": seen[number].tolist()}
+                reading["samples"] = {c: [v] for c, v in zip("xyz", reading["mean"], strict=True)}
+                text = rest[: rest.index('"reading": ')] + f'"reading": {json.dumps(reading)}'
+            elif kind == "run_started":
+                for was, now in zip(_answered(event), serials, strict=True):
+                    text = text.replace(was, now)
+            line = f'{first}{stamp}{text}, "prev": "{head}"}}'.encode()
+            head = hashlib.sha256(line).hexdigest()
+            lines.append(line)
+        return b"\n".join([*lines, b""]), head
+
+    def _calibrated(
+        self,
+        manifest: dict[str, Any],
+        found: Floats,
+        residual: dict[str, float],
+        scatter: float,
+        head: str,
+        serials: tuple[str, ...],
+        bench: int,
+    ) -> bytes:
+        """Return calibrate.json: the template's, with what this run has of its own."""
+        own, before = manifest, self.template.calibrated
+        coefficients = {
+            name: {**before["coefficients"][name], "value": value}
+            for name, value in zip(COEFFICIENTS, found.tolist(), strict=True)
+        }
+        g = before["g_m_s2"]
+        scales = {name: c for name, c in coefficients.items() if name[0] == "K"}
+        per_ms2 = {name: {"value": c["value"] / g, "u": c["u"] / g} for name, c in scales.items()}
+        meters = [
+            m.replace(was, now).replace("of bench", f"of bench-{bench:02}")
+            for m, was, now in zip(before["meters"], _answered(self.template.events[0]), serials, strict=True)
+        ]
+        sizes = dict.fromkeys(("reading_v", "x", "y", "z"), scatter)
+        changed = {
+            "coefficients": coefficients,
+            "coefficients_per_ms2": {"unit": before["coefficients_per_ms2"]["unit"], **per_ms2},
+            "residual": {k: float(v) for k, v in residual.items()} | {"dof": 42},
+            "noise": {**before["noise"], **sizes},
+            "source": own["name"],
+            "bench": _bench(before, own["name"], bench, own["files"]["bench.yaml"]),
+            "made_at": own["created"],
+            "unit_under_test": own["unit_under_test"],
+            "meters": meters,
+            "corrections": [],
+            "record": {"events": len(self.template.events), "head": head},
+        }
+        texts = {**self.template.fixed, **{k: json.dumps(v) for k, v in changed.items()}}
+        return ("{" + ", ".join(f'"{k}": {v}' for k, v in texts.items()) + "}\n").encode()
+
+    def _verified(self, g_p: Floats, angles: Floats, name: str, bench: int, digest: str) -> bytes:
+        """Return verify.json: Δg of this run, at the template's u."""
+        before, points = self.template.verified, []
+        for was, value, angle in zip(before["points"], g_p.tolist(), angles.tolist(), strict=True):
+            beyond = [float(special.ndtr((-LIMIT_G - s * (value - 1.0)) / was["u"])) for s in (-1, 1)]
+            passed, false = abs(value - 1.0) <= LIMIT_G, sum(beyond)
+            points.append(
+                {
+                    **was,
+                    "angle_deg": angle,
+                    "g_p": value,
+                    "delta_g": value - 1.0,
+                    "passed": passed,
+                    "statement": "pass" if passed else "fail",
+                    "p_false_accept": false if passed else None,
+                    "p_false_reject": None if passed else 1.0 - false,
+                }
+            )
+        passed = all(p["passed"] for p in points)
+        whole = {
+            **before,
+            "passed": passed,
+            "statement": "pass" if passed else "fail",
+            "p_false_accept": None,
+            "p_false_accept_worst": max(p["p_false_accept"] for p in points) if passed else None,
+            "points": points,
+            "bench": _bench(before, name, bench, digest),
+            "corrections": [],
+        }
+        return (json.dumps(whole, ensure_ascii=False) + "\n").encode()
+
+
+def meters_of(bench: int, year: int) -> tuple[str, ...]:
+    """Return the serial numbers of a bench's meters; every third year the first goes on to the next bench."""
+    moved = (year - FIRST_DAY.year) // 3
+    return f"MY54{(bench - moved) % 100:03}1", f"MY54{bench:03}2", f"MY54{bench:03}3"
+
+
+def bench_text(name: str, serials: tuple[str, ...], year: int, kind: str) -> str:
+    """Return the paper's bench file under another name, with meters that have certificates of a year."""
+    text = find_bench("paper-stand").read_text(encoding="utf-8")
+    text = "\n".join(line for line in text.splitlines() if not line.strip().startswith("#")) + "\n"
+    before, rest = text.split("  voltmeters:\n")
+    after = rest[rest.index("  head:") :]
+    meters = ""
+    for k, (channel, serial) in enumerate(zip("xyz", serials, strict=True)):
+        number = f"{year}-{serial[-5:]}"
+        meters += METER % {
+            "channel": channel,
+            "place": 20 + k,
+            "serial": serial,
+            "year": year,
+            "number": number,
+        }
+    text = f"{before}  voltmeters:\n{meters}{after}".replace("name: paper-stand", f"name: {name}")
+    return text.replace("type: triaxial block of the paper", f"type: {kind}")
+
+
+def make_template(folder: Path) -> Template:
+    """Make the dry run that the others are copied from."""
+    folder.mkdir(parents=True)
+    procedure, bench = folder / "paper-once.yaml", folder / "bench.yaml"
+    procedure.write_text(PROCEDURE, encoding="utf-8")
+    serials = ("MY53200001", "MY53200002", "MY53200003")
+    bench.write_text(bench_text("bench", serials, utc_now().year, TYPES[0]), encoding="utf-8")
+    words = ("run", procedure, "--bench", bench, "--dry-run", "--seed", "1", "--name", "template", "--runs")
+    command(*words, folder)
+    return Template(folder / "template")
+
+
+def make_folders(count: int, out: Path, seed: int, benches: int, units: int) -> None:
+    """Write so many run folders and `truth.json` into `out`, which is made."""
+    out.mkdir(parents=True)
+    with tempfile.TemporaryDirectory() as place:
+        template = make_template(Path(place) / "made")
+        truth = Truth.drawn(template.theta, count, benches, units, seed)
+        (out / "truth.json").write_text(json.dumps(truth.to_json()), encoding="utf-8")
+        Writer(template, truth, out, seed).write()
+
+
+def _answered(event: dict[str, Any]) -> tuple[str, ...]:
+    """Return the serial numbers of the meters as the template's instruments told them."""
+    return tuple(event["serials"][f"voltmeter.{channel}"] for channel in "xyz")
+
+
+def _bench(before: dict[str, Any], name: str, bench: int, digest: str) -> dict[str, Any]:
+    """Return what a result says of its bench file."""
+    own = {"name": f"bench-{bench:02}", "file": f"{name}/bench.yaml", "sha256": digest}
+    return {**before["bench"], **own}
+
+
+def _turned(text: str, before: float, angle: float) -> str:
+    return text.replace(f'"angle_deg": {json.dumps(before)}', f'"angle_deg": {json.dumps(float(angle))}', 1)
+
+
+def main() -> int:
+    """Write the folders; say how quickly."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("count", type=int)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--benches", type=int, default=0, help="by default one for 2,000 runs, 3 at least")
+    parser.add_argument("--units", type=int, default=0, help="by default one for ten runs")
+    given = parser.parse_args()
+    benches = given.benches or max(3, given.count // 2000)
+    units = given.units or max(1, given.count // 10)
+    begun = time.perf_counter()
+    make_folders(given.count, given.out, given.seed, benches, units)
+    took = time.perf_counter() - begun
+    print(
+        f"{given.count} folders, {benches} benches, {units} units: {took:.0f} s, {given.count / took:.0f} /s"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
