@@ -5,16 +5,12 @@
     python -m benchmarks.learning_campaign --runs 25 --next 100 --seed 3
 
 Every bench draws its own truth within what is stated of it: means of four stand angles, what a remount adds,
-noise
-of three meters, setting error, two harmonics of the head. Every run has a block of its own; of three runs
-one has
-all mountings again turned by a quarter and one by half a turn on the platform. Promised: sizes whose own u is
-<= 10 % lie within 20 % of the truth; of the others |z| <= 2 in >= 93 %. `--own` gives the fourth run a K2 or
-a drift of its
-own: how often it is named, and the z of the bench's sizes then. `--next` calibrates so many further blocks
-of each
-bench in installations 1 and 2 with what was learned (benches without a wave of the head then, so that one model
-serves with and without; promised: rms z 0.93 to 1.07), and compares u with and without.
+noise of three meters, setting error, two harmonics of the head. Every run has a block of its own; of three runs
+one has all mountings again turned by a quarter and one by half a turn on the platform. Promised: sizes whose own
+u is <= 10 % lie within 20 % of the truth; of the others |z| <= 2 in >= 93 %. `--own` gives the fourth run a K2 or
+a drift of its own: how often it is named, and the z of the bench's sizes then. `--next` calibrates so many further
+blocks of each bench in installations 1 and 2 with what was learned (benches without a wave of the head then, so
+that one model serves with and without; promised: rms z 0.93 to 1.07), and compares u with and without.
 The simulation shares no geometry with the model (`tests.support.learning_bench`).
 """
 

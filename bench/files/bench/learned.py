@@ -89,7 +89,7 @@ class StandEntry(FileModel):
     def _one_shape(self) -> StandEntry:
         k = len(self.means)
         matrix = self.covariance
-        if matrix.shape != (k, k) or not np.allclose(matrix, matrix.T):
+        if matrix.shape != (k, k) or not _symmetric(matrix):
             raise ValueError(f"covariance_rad2 of {k} means has {k} rows of {k} numbers, and is symmetric")
         if np.min(np.linalg.eigvalsh(matrix)) < -1e-9 * np.max(np.abs(matrix)):
             raise ValueError(
@@ -105,6 +105,12 @@ class StandEntry(FileModel):
         """The covariance of the means, rad², (k, k)."""
         ragged = len({len(row) for row in self.covariance_rad2}) > 1
         return np.zeros((0, 0)) if ragged else np.array(self.covariance_rad2, dtype=np.float64)
+
+
+def _symmetric(covariance: Floats) -> bool:
+    """Whether a covariance (k, k) is symmetric, in terms of its own variances: in rad² all of it is tiny."""
+    u = np.sqrt(np.abs(np.diag(covariance)))
+    return bool(np.all(np.abs(covariance - covariance.T) <= 1e-9 * np.outer(u, u)))
 
 
 class LearnedFile(FileModel):
