@@ -20,7 +20,7 @@ from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
 from bench.api.simulated_truth import simulated_truth
-from bench.api.taken import BenchTaken, bench_path, why_taken
+from bench.api.taken import bench_for_record, bench_path, why_taken
 from bench.api.traceability import remarks
 from bench.api.until import noted_goals, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
@@ -35,7 +35,7 @@ from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.clock_watch import ClockWatch
 from bench.run.control import ControlFile
 from bench.run.digest import Digests
-from bench.run.folder import BENCH, LEARNED, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
+from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
 from bench.run.history import History, read_history
 from bench.run.listening import WishListener
 from bench.run.log import RunLog
@@ -122,12 +122,8 @@ def new_run(
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
         PROCEDURE: procedure_path.read_bytes(),
         **_included(loaded),
-        BENCH: bench_file_path.read_bytes(),
+        **bench_for_record(file, bench_file_path),
     }
-    taken = BenchTaken(file, str(bench_file_path), "", "")
-    if (learned := taken.learned_path) is not None:
-        taken.learned()
-        inputs[LEARNED] = learned.read_bytes()
     if model is not None:
         load_model(model, file.installation_models())
         inputs[MODEL] = model.read_bytes()

@@ -84,6 +84,15 @@ def find_bench_file(given: str | BenchFile | BenchTaken | None) -> BenchTaken:
     return BenchTaken(load_bench(path), str(path), sha256_of(path.read_bytes()), why_taken(given))
 
 
+def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
+    """Return what a run keeps of a bench file: it, and what it names as learned. Raises `FileMistakes`."""
+    taken = BenchTaken(file, str(path), "", "")
+    kept = {BENCH: path.read_bytes()}
+    if taken.learned() is not None and taken.learned_path is not None:
+        kept[LEARNED] = taken.learned_path.read_bytes()
+    return kept
+
+
 def recorded_sha256(run: Run) -> str:
     """Return the SHA-256 of the bench file that a run recorded."""
     return sha256_of((run.folder / BENCH).read_bytes())
