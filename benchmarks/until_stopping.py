@@ -73,7 +73,8 @@ def drawn(points: list[Point], scale: float, runs: int, rng: np.random.Generator
     angle = np.tile([p.site.angle_rad for p in points], runs)
     stand = rng.normal(0.0, [TILT_RAD, TILT_RAD, MOUNT_RAD], (runs, 2, 3))[:, second].reshape(-1, 3)
     setting = scale * rng.normal(0.0, SETTING_RAD, runs * n)
-    force = specific_force(labels * runs, angle, *stand.T, setting).reshape(runs, n, 3)
+    tilt, offset, mount = stand.T
+    force = specific_force(labels * runs, angle, tilt, offset, mount, setting).reshape(runs, n, 3)
     own = K + rng.normal(0.0, SPREAD, (runs, 3, 3)), U0 + rng.normal(0.0, SPREAD, (runs, 3))
     signals = force @ np.swapaxes(own[0], 1, 2) + own[1][:, None]
     signals = signals + scale * rng.normal(0.0, READING_V, signals.shape)
