@@ -44,6 +44,7 @@ COMMANDS: Final = {
     " bias, scale factor, misalignments, K2, K3, Koq.",
     "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
     "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
+    "fleet": "Many units on many benches: is it the bench or the block? Equivalence, priors, drift, CMC.",
     "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",
     "require": "How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now.",
     "plan-points": "Test points that reach an uncertainty in the least bench time, or the most in a given time.",
