@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from bench.analysis.calibration import CalibrationError
     from bench.api.budget import BudgetResult, budget
     from bench.api.calibration import CalibrationResult, Coefficient
+    from bench.api.chart_sources import chart
+    from bench.api.check_block import CheckBlockChart
     from bench.api.confirmation import ConfirmationResult
     from bench.api.diagnosis import DiagnosisResult
     from bench.api.errors import Refused
@@ -47,6 +49,7 @@ __all__ = [
     "BudgetResult",
     "CalibrationError",
     "CalibrationResult",
+    "CheckBlockChart",
     "Coefficient",
     "ConfirmationResult",
     "DiagnosisResult",
@@ -60,6 +63,7 @@ __all__ = [
     "VerificationResult",
     "budget",
     "calibrate",
+    "chart",
     "confirm",
     "diagnose",
     "dry_run",
@@ -72,6 +76,8 @@ _HOMES: Final = {
     "bench.analysis.calibration": ("CalibrationError",),
     "bench.api.budget": ("BudgetResult", "budget"),
     "bench.api.calibration": ("CalibrationResult", "Coefficient"),
+    "bench.api.chart_sources": ("chart",),
+    "bench.api.check_block": ("CheckBlockChart",),
     "bench.api.confirmation": ("ConfirmationResult",),
     "bench.api.diagnosis": ("DiagnosisResult",),
     "bench.api.errors": ("Refused",),

@@ -203,7 +203,7 @@ def _block_terms(data: Any, where: str) -> Floats | None:
     if data.get("block_terms") is None:
         return None
     try:
-        rows = [[_number(entry) for entry in row] for row in data["block_terms"]]
+        rows = _numbers(data["block_terms"])
     except (ValueError, TypeError) as error:
         raise Refused(
             f"{where}: not a result of 'bench calibrate --json': its block_terms: {error}"
@@ -224,7 +224,7 @@ def _wander(data: Any) -> Floats | None:
 def _covariance(data: Any, name: str) -> Floats:
     """Return a covariance (12, 12) of a result in the order of `COEFFICIENTS`."""
     order = [list(data["order"]).index(coefficient) for coefficient in COEFFICIENTS]
-    rows = [[_number(entry) for entry in row] for row in data[name]]
+    rows = _numbers(data[name])
     size = len(COEFFICIENTS)
     if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
         raise ValueError(f"it has not {size} coefficients")
@@ -235,6 +235,15 @@ def _refuse_impossible(covariance: Floats, where: str) -> None:
     problem = impossible(covariance)
     if problem:
         raise Refused(f"{where}: {problem}; no calibration gives that: take the file as calibrate wrote it")
+
+
+def _numbers(rows: Any) -> list[list[float]]:
+    """Return rows of JSON numbers; where all are floats they are looked at in one go. Raises `ValueError`."""
+    if all(type(row) is list and set(map(type, row)) == {float} for row in rows):
+        sums = [sum(row) for row in rows]  # of what is not finite no sum is
+        if all(map(math.isfinite, sums)):
+            return list(rows)
+    return [[_number(entry) for entry in row] for row in rows]
 
 
 def _number(value: Any) -> float:

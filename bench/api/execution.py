@@ -14,6 +14,7 @@ from typing import Final
 
 from rich.console import Console
 
+from bench.api.checked_before import checked_before
 from bench.api.errors import Refused
 from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
@@ -21,6 +22,7 @@ from bench.api.provenance import versions
 from bench.api.simulated_truth import simulated_truth
 from bench.api.taken import bench_path, why_taken
 from bench.api.traceability import remarks
+from bench.api.until import noted_goals, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.devices.chambers import ControlledChamberForm
@@ -88,11 +90,15 @@ def new_run(
     model: Path | None = None,
     verdict: VerdictAsked | None = None,
     living: bool = False,
+    until: Sequence[str] = (),
+    check_block: bool = False,
+    despite_check: str | None = None,
 ) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
 
     `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's. A person
-    answers the questions of a `living` dry run.
+    answers the questions of a `living` dry run, `until` are the goals at which it ends. With `check_block` a dry
+    run, too, is held to the bench's check block; `despite_check` is why a run is begun whatever that says.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
@@ -144,7 +150,11 @@ def new_run(
         manifest["devices"] = foreign
     if verdict:
         manifest["verdict"] = verdict
-    return NewRun(runs / name, manifest, inputs, _other_unit(stated.serial, serial, file.name))
+    notes = _other_unit(stated.serial, serial, file.name)
+    notes += noted_goals(manifest, plan, file, until)
+    if check_block or despite_check is not None or (file.check_block is not None and not dry_run):
+        notes += checked_before(manifest, file, bench_file_path, runs, despite_check)
+    return NewRun(runs / name, manifest, inputs, notes)
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
@@ -253,6 +263,7 @@ def carry_out(
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
         with _assembly(run, bench, history, wire, out, signals.haste, heard.asker) as (assembly, bar):
+            bar.recall(history.progress.chosen if history else ())
             Runner(
                 plan=run.plan,
                 instruments=assembly.instruments,
@@ -281,6 +292,7 @@ def carry_out(
                 hold_signals=signals.hold,
                 certificates=_on_certificates(bench, simulated=run.simulated),
                 fed=_fed(bench),
+                choose=until_of(run, bench),
             ).run(resume)
         _refuse_renamed(record)
     except RunAborted as why:

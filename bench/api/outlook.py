@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from bench.analysis.planning.remedies import Outlook, outlook
 from bench.analysis.planning.settings import Cost, settings_of
+from bench.analysis.planning.until.outlook import TimeOutlook
 from bench.api.errors import Refused
 from bench.api.taken import bench_path
 from bench.api.traceability import remarks
+from bench.api.until import outlook_until
 from bench.base.forms import FileMistakes
 from bench.devices.wires import is_serial
 from bench.files.bench.file import BenchFile, load_bench
@@ -50,6 +52,7 @@ class Findings:
     undetermined: Mapping[float | None, tuple[str, ...]]
     outlook: Outlook | None
     hints: tuple[str, ...]
+    until: TimeOutlook | None = None
 
     @property
     def expected_s(self) -> float:
@@ -83,15 +86,19 @@ class Findings:
             "problems": list(self.problems),
             "dry_run_refuses": list(self.unanswered),
             "hints": list(self.hints),
+            **({} if self.until is None else {"until": self.until.to_json()}),
         }
 
 
-def look_ahead(procedure: str, bench: str | None, runs: Path) -> Findings:
+def look_ahead(procedure: str, bench: str | None, runs: Path, until: Sequence[str] = ()) -> Findings:
     """Return what a procedure will do on a bench; `runs` is the folder whose disk is looked at.
 
-    Raises `Refused` with the mistakes of both files.
+    `until` are the goals at which a run is to end. Raises `Refused` with the mistakes of both files, and
+    for goals that cannot be reached.
     """
-    return _find(*_load(procedure, bench), runs)
+    plan, file = _load(procedure, bench)
+    found = _find(plan, file, runs)
+    return replace(found, until=outlook_until(plan, file, until)) if until else found
 
 
 def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:

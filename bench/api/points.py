@@ -55,20 +55,25 @@ def stated_goals(
     """Return what is to be reached: u of coefficients ("Kyx=20e-6"), of Δg, of |a| up to a size; else all alike."""
     goals = coefficient_goals(dict(_size(text) for text in u))
     if delta_g is not None:
-        if VERIFICATION not in stand.model.installations:
-            raise Refused(
-                "--delta-g needs the installation V of the verification points; state it in the bench file"
-            )
-        angles = np.radians(np.array(VERIFICATION_DEG, dtype=np.float64))
-        turn = stand.model.installations[VERIFICATION].block_from_platform
-        force = specific_force_on_platform(angles, np.zeros((len(angles), 5))) @ turn.T
-        goals += delta_g_goals(stand.block, force, stand.noise.reading, delta_g)
+        goals += delta_g_of(stand, delta_g, "--delta-g")
     if modulus is not None:
         up_to_g = bench.unit_under_test.range
         if up_to is not None:
             up_to_g = quantity("--up-to", up_to, ACCELERATION)
         goals += modulus_goals(stand.block, up_to_g, modulus)
     return [*goals, whole_goal(stand.block, goals)] if goals else [vector_goal(stand.block)]
+
+
+def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
+    """Return the goals of Δg at the verification points of the bench, as an option asks for them."""
+    if VERIFICATION not in stand.model.installations:
+        raise Refused(
+            f"{option} needs the installation V of the verification points; state it in the bench file"
+        )
+    angles = np.radians(np.array(VERIFICATION_DEG, dtype=np.float64))
+    turn = stand.model.installations[VERIFICATION].block_from_platform
+    force = specific_force_on_platform(angles, np.zeros((len(angles), 5))) @ turn.T
+    return delta_g_goals(stand.block, force, stand.noise.reading, asked_g)
 
 
 def _size(text: str) -> tuple[str, float]:

@@ -39,6 +39,8 @@ def provenance(source: Source) -> dict[str, str]:
         stated["run"] = run.name
         if run.imported:
             stated["imported from"] = str(run.manifest["imported"])
+        if checked := run.manifest.get("check_block"):
+            stated["check block"] = checked.get("said", "")
     if origin is not None and origin.run != stated.get("run"):
         stated["exported from run"] = origin.run
     if origin is not None:

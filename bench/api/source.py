@@ -176,6 +176,8 @@ def _load(given: Given, request: Request) -> Source:
     taken, notes = bench_of(given if isinstance(given, str) else "", run, told, request.bench)
     bench, other_unit = _of_unit(taken.file, told.origin)
     notes += other_unit
+    if run is not None:
+        notes += _on_check_block(run)
     if told.origin is not None:
         notes += told.notes
     readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
@@ -196,6 +198,16 @@ def _load(given: Given, request: Request) -> Source:
     return Source(
         name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced, own
     )
+
+
+def _on_check_block(run: Run) -> tuple[str, ...]:
+    """Say what the check block said as a run began, where it spoke against it."""
+    told = run.manifest.get("check_block")
+    if told is None or "said" not in told or told.get("state") == "in control":
+        return ()
+    reason = told.get("despite")
+    went_on = f"the run was begun all the same: {reason}" if reason else "the bench file's rule is to warn"
+    return (f"check block: {told['said']}; {went_on}",)
 
 
 def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[str, ...]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -80,34 +80,16 @@ def _command_in(given: list[str]) -> str:
 
 def explain(error: Exception, command: str = "bench") -> str:
     """Return the sentence for an error; one that nobody foresaw names the command, and how to see more."""
-    if isinstance(error, Refused):
-        return error.typed
+    from bench.api.explained import expected, kind_and_words, sentence
+
     if isinstance(error, typer.TyperException):
         return error.format_message()  # with the option's name
-    if expected(error):
-        return str(error)
-    if isinstance(error, OSError):
-        return f"{error.filename or 'a file'}: {error.strerror or error}"
-    kind = ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split()))))
+    if isinstance(error, Refused | OSError) or expected(error):
+        return sentence(error)
     return (
-        f"'{command}' was stopped by a mistake of the program ({kind}); run it again with --debug and report "
-        "what it shows"
+        f"'{command}' was stopped by a mistake of the program ({kind_and_words(error)}); run it again with --debug "
+        "and report what it shows"
     )
-
-
-def expected(error: Exception) -> bool:
-    """Whether an error was made to be read by a person."""
-    from bench.analysis.calibration import CalibrationError
-    from bench.files.bench.file import FileMistakes
-    from bench.model.effects import ExpressionError
-    from bench.readings.csv import ReadingsError
-    from bench.run.manifest import RecordError
-    from drivers.interfaces import BenchError
-
-    kinds: tuple[Any, ...] = (
-        FileMistakes, CalibrationError, ReadingsError, RecordError, BenchError, ExpressionError,
-    )  # fmt: skip
-    return isinstance(error, kinds)
 
 
 def _fail(text: str) -> int:

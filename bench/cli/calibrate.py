@@ -9,12 +9,15 @@ import typer
 
 from bench.cli import printing
 from bench.cli.options import (
-    ESTIMATORS_TOLD,
     RUNS,
     BenchOption,
+    CalibrateEstimatorOption,
     GravityOption,
+    JoinFreeOption,
+    JoinVerificationOption,
     JsonOption,
     ModelOption,
+    NominalOption,
     OutOption,
     RunsOption,
     SkipOption,
@@ -30,18 +33,10 @@ from bench.cli.options import (
 )
 def calibrate(
     sources: Sources,
-    estimator: Annotated[str, typer.Option(help=ESTIMATORS_TOLD)] = "gls",
-    nominal_angles: Annotated[
-        bool, typer.Option("--nominal-angles", help="Target angles in place of those read back.")
-    ] = False,
-    join_free: Annotated[
-        bool,
-        typer.Option("--join-free/--no-join-free", help="Free positions (F) join the fit by |a| = 1 g."),
-    ] = True,
-    join_verification: Annotated[
-        bool,
-        typer.Option("--join-verification", help="So do verification points; they check nothing then."),
-    ] = False,
+    estimator: CalibrateEstimatorOption = "gls",
+    nominal_angles: NominalOption = False,
+    join_free: JoinFreeOption = True,
+    join_verification: JoinVerificationOption = False,
     prior: Annotated[
         Path | None,
         typer.Option(

@@ -14,6 +14,7 @@ from bench.cli.options import (
     JsonOption,
     ProcedureArgument,
     RunsOption,
+    UntilOption,
     app,
     devices_given,
 )
@@ -38,12 +39,13 @@ def check(
     instruments: Annotated[
         bool, typer.Option("--instruments", help="Then open the bench's instruments, too.")
     ] = False,
+    until: UntilOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
     """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
     from bench.api.outlook import look_ahead
 
-    found = look_ahead(procedure, bench, runs)
+    found = look_ahead(procedure, bench, runs, until or ())
     printing.write_json([found.to_json()], json)
     if json != "-":
         _print(found, every_step=every_step)
@@ -58,6 +60,7 @@ def check(
 
 def _print(found: Findings, *, every_step: bool) -> None:
     from bench.api.outlook import disk_space
+    from bench.api.until import outlook_in_words
     from bench.procedure.check import switched_before
     from bench.procedure.listing import listing
     from bench.run.sentences import duration
@@ -86,6 +89,8 @@ def _print(found: Findings, *, every_step: bool) -> None:
         out.print(sentence)
     for sentence in _outlook_in_words(found.outlook):
         out.print(sentence)
+    if found.until is not None:
+        out.print(f"--until: {outlook_in_words(found.until)}")
     for hint in found.hints:
         out.print(f"look: {hint}")
     for problem in found.problems:

@@ -30,6 +30,7 @@ COMMANDS: Final = {
     " or one that signs certificates.",
     "export": "Write the readings of a run as a readings file.",
     "import": "Make a run of a readings file that was measured elsewhere.",
+    "catalogue": "Many run folders in a database: what was measured with what, a unit's history, when it is due.",
     "calibrate": "Coefficients with uncertainty from runs or readings files.",
     "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
     " for Kalibr, PX4, ArduPilot.",
@@ -43,6 +44,8 @@ COMMANDS: Final = {
     "tumble": "Each axis of a multi-point tumble by IEEE 1293:"
     " bias, scale factor, misalignments, K2, K3, Koq.",
     "stability": "Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves.",
+    "chart": "Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control.",
+    "batch": "Compute many runs anew: what changes, which verdicts would be different; goes on where it stopped.",
     "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
     "fleet": "Many units on many benches: is it the bench or the block? Equivalence, priors, drift, CMC.",
     "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",
@@ -97,6 +100,9 @@ def load_command(name: str) -> Any:
     word = name.replace("-", "_")
     module = import_module(f"bench.cli.{word}_" if iskeyword(word) else f"bench.cli.{word}")
     if hasattr(module, "GROUP"):
-        return get_group(module.GROUP)
+        group = get_group(module.GROUP)
+        for command in group.commands.values():
+            with_own_parts(command)
+        return group
     (info,) = (one for one in app.registered_commands if one.callback.__module__ == module.__name__)
     return with_own_parts(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from bench.base.threads import one_thread
 from bench.cli import completing, printing, progress
 from bench.cli.options import (
     RUNS,
@@ -16,7 +17,6 @@ from bench.cli.options import (
     RunsOption,
     SkipOption,
     app,
-    one_thread,
 )
 
 

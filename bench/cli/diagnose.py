@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.base.progress import tracked
+from bench.base.threads import one_thread
 from bench.cli import printing, progress
 from bench.cli.options import (
     RUNS,
@@ -26,7 +27,6 @@ from bench.cli.options import (
     SkipOption,
     Sources,
     app,
-    one_thread,
 )
 
 if TYPE_CHECKING:

@@ -188,9 +188,29 @@ PanelOption = Annotated[
         help="Open the operator's panel for this run and print its link; a dry run's questions are asked, too.",
     ),
 ]
+UntilOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--until",
+        metavar="GOALS",
+        help="End when it is good enough: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, time=4h.",
+    ),
+]
 GravityOption = Annotated[
     float | None,
     typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),
+]
+CalibrateEstimatorOption = Annotated[str, typer.Option("--estimator", help=ESTIMATORS_TOLD)]
+NominalOption = Annotated[
+    bool, typer.Option("--nominal-angles", help="Target angles in place of those read back.")
+]
+JoinFreeOption = Annotated[
+    bool,
+    typer.Option("--join-free/--no-join-free", help="Free positions (F) join the fit by |a| = 1 g."),
+]
+JoinVerificationOption = Annotated[
+    bool,
+    typer.Option("--join-verification", help="So do verification points; they check nothing then."),
 ]
 RuleOption = Annotated[
     str | None,
@@ -247,16 +267,3 @@ LatestRun = Annotated[
 ]
 
 RUNS = Path("runs")
-
-
-THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Where the libraries of linear algebra look for the number of their threads."""
-
-
-def one_thread() -> None:
-    """Let linear algebra have one thread, where nobody said how many: of small matrices they wait for one another.
-
-    To be said before numpy is imported.
-    """
-    for name in THREADS:
-        os.environ.setdefault(name, "1")

@@ -50,6 +50,9 @@ def panel(
             metavar="FILE", help="Laboratory file, whose register holds the certificates of the runs."
         ),
     ] = None,
+    catalogue: Annotated[
+        str, typer.Option(metavar="FILE|URL", help="Catalogue, which its pages on units show; only read.")
+    ] = "",
     runs: RunsOption = RUNS,
 ) -> int:
     """Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in."""
@@ -59,7 +62,8 @@ def panel(
 
     if what is not None:
         return _of_people(what, name, role, runs)
-    serve(Settings(runs, host, port, address.rstrip("/"), laboratory), printing.console().print)
+    settings = Settings(runs, host, port, address.rstrip("/"), laboratory, catalogue)
+    serve(settings, printing.console().print)
     return 0
 
 

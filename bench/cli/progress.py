@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import TYPE_CHECKING, Final
 
 from bench.base.progress import heard_by, quiet
@@ -48,4 +50,33 @@ def shown(console: Console | None = None, clock: Clock | None = None) -> Iterato
         bar.update(task, completed=done, refresh=True)
 
     with bar, heard_by(hear):
+        yield
+
+
+EVERY_S: Final = 30.0
+
+
+@contextmanager
+def in_lines(clock: Clock | None = None) -> Iterator[None]:
+    """Say on standard error what `shown` shows, where that is no terminal: a line now and then, for a log.
+
+    For what may take hours. Never with --quiet.
+    """
+    if sys.stderr.isatty() or quiet.get():
+        yield
+        return
+    clock = clock or SystemClock()
+    began_s = said_s = clock.now_s()
+
+    def hear(what: str, done: int, total: int) -> None:
+        nonlocal said_s
+        now_s = clock.now_s()
+        if done and now_s - said_s >= EVERY_S:
+            left_s = round((now_s - began_s) / done * (total - done))
+            print(
+                f"{done:,} of {total:,} {what}, {timedelta(seconds=left_s)} left", file=sys.stderr, flush=True
+            )
+            said_s = now_s
+
+    with heard_by(hear):
         yield

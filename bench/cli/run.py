@@ -22,12 +22,15 @@ from bench.cli.options import (
     ProcedureArgument,
     RuleOption,
     RunsOption,
+    UntilOption,
     WireLogOption,
     app,
 )
 from bench.cli.panel import link_to
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from bench.api.source import Source
     from bench.run.folder import Run
     from bench.run.manifest import VerdictAsked
@@ -49,7 +52,15 @@ def run(
     rule: RuleOption = None,
     guard_band: GuardBandOption = None,
     model: ModelOption = None,
+    until: UntilOption = None,
     wire_log: WireLogOption = None,
+    check_block: Annotated[
+        bool, typer.Option("--check-block", help="Hold a dry run, too, to the check block of the bench file.")
+    ] = False,
+    despite_check: Annotated[
+        str | None,
+        typer.Option(metavar="REASON", help="Begin whatever the check block says; the record keeps why."),
+    ] = None,
     follow: Annotated[
         bool, typer.Option("--follow", help="Then diagnose, and run at once what would tell more.")
     ] = False,
@@ -73,6 +84,7 @@ def run(
         raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
 
     away = is_away(answers, panel=panel)
+    asked_for = procedure
     if follow and away:
         raise Refused("--follow asks at the terminal before it measures further: it wants --answers terminal")
 
@@ -106,6 +118,9 @@ def run(
             model=model,
             verdict=verdict,
             living=dry_run and (panel or answers is not None),
+            until=until or () if procedure == asked_for else (),
+            check_block=check_block,
+            despite_check=despite_check,
         )
         out = printing.console(json=json)
         if json != "-":
@@ -136,6 +151,34 @@ def run(
     )
 
 
+def charted(run: Run, out: Console) -> int:
+    """Put a run of the check block on its chart, and say and write what that shows; 1 where it is out of control.
+
+    Of any other run there is nothing to say. Where no chart can be made, that is said: the run is finished.
+    """
+    from bench.api.chart_sources import own_bench
+    from bench.api.check_block import chart_of, check_block_runs, is_check_block
+    from bench.base.whole import to_text
+    from bench.cli.chart import print_chart
+
+    bench, path = own_bench(run)
+    unit = run.manifest.get("unit_under_test")
+    if bench.check_block is None or unit is None or not is_check_block(bench, unit):
+        return 0
+    runs = check_block_runs(bench, run.folder.parent, simulated=run.simulated)
+    try:
+        chart = chart_of(runs, bench.check_block, of_bench=path, folder=run.folder.parent)
+    except Refused as reason:
+        out.print(f"the run is finished; no control chart: {reason}")
+        return 0
+    print_chart(chart, out)
+    if printing.write_beside(run.folder / "chart.json", to_text(chart.to_dict()), asked=False):
+        out.print(
+            f"chart: {run.folder / 'chart.json'} (bench chart {run.folder.parent} --page FILE draws it)"
+        )
+    return 0 if chart.accepted else 1
+
+
 def is_away(answers: str | None, *, panel: bool) -> bool:
     """Whether questions are answered in the run's folder alone. Raises `Refused` for a place that is none.
 
@@ -147,7 +190,7 @@ def is_away(answers: str | None, *, panel: bool) -> bool:
 
 
 def conclude(run: Run, target: str | None = None) -> int:
-    """Calibrate, verify and report a finished run; 1 when the verification failed.
+    """Calibrate, verify and report a finished run; 1 when the verification failed, or a check is out of control.
 
     `target` is where the whole result goes as JSON: null stands for a calibration or verdict that is not.
 
@@ -157,7 +200,7 @@ def conclude(run: Run, target: str | None = None) -> int:
 
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     try:
-        return _draw(run, source, target)
+        return max(_draw(run, source, target), charted(run, printing.console(json=target)))
     except OSError as error:
         raise Refused(
             f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
@@ -170,9 +213,11 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
     from bench.analysis.calibration import CalibrationError
     from bench.api.calibration import calibration_of
     from bench.api.early_mistakes import told_in_words
+    from bench.api.until import is_short
     from bench.base.whole import to_text, write_whole
 
     out = printing.console(json=target)
+    short = is_short(run)
     for line in told_in_words(run):
         out.print(f"look: {line}")
     drawn: dict[str, Any] = {
@@ -186,7 +231,7 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
     except CalibrationError as reason:
         out.print(f"the run is finished; no calibration from it: {reason}")
         printing.write_json([drawn], target)
-        return 0
+        return 1 if short else 0
     file = source.output("calibrate", ".json")
     printing.calibration(result, file, out)
     drawn["calibration"] = result.to_dict()
@@ -199,5 +244,9 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
         drawn["verification"] = verdict.to_dict()
         write_whole(file, to_text(drawn["verification"]))
         printing.verification(verdict, file, out)
+    if short:
+        out.print(
+            f"NOT REACHED: {', '.join(run.manifest.get('until', ()))}; the procedure has no more that would help"
+        )
     printing.write_json([drawn], target)
-    return 0 if verdict is None or verdict.passed else 1
+    return 0 if not short and (verdict is None or verdict.passed) else 1

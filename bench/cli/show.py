@@ -90,7 +90,7 @@ def _text(value: object) -> str:
 
 def _print_events(run: Run, out: Console) -> None:
     from bench.run.resume import resume_point
-    from bench.run.sentences import duration, said
+    from bench.run.sentences import duration, said, sentence
 
     if run.imported:
         return
@@ -106,6 +106,8 @@ def _print_events(run: Run, out: Console) -> None:
             text += "  " + "  ".join(f"{value:+.6f} {reading['unit']}" for value in reading["mean"])
         if event.type in _SAID:
             text = said(event)
+        elif event.type == "chosen":
+            text = sentence(event)
         for told in ("error", "reason", *(("text",) if event.type == "asked" else ())):
             if event.data.get(told):
                 text += f": {event.data[told]}"

@@ -35,21 +35,25 @@ class Mounting(NamedTuple):
 class HeadTurns:
     """How far the head was turned up to each reading, rad, by the shortest way from angle to angle.
 
-    A reading without an angle keeps what the one before it had, and is no remount.
+    A reading without an angle keeps what the one before it had, and is no remount. Every run begins anew.
     """
 
     def __init__(self, conditions: Conditions) -> None:
         n = len(conditions)
         steps, begins = np.zeros(n), np.zeros(n, dtype=bool)
+        run = np.zeros(n) if conditions.began_s is None else conditions.began_s
         rows = np.flatnonzero(np.isfinite(conditions.angle_rad))
-        angle, mount = conditions.angle_rad[rows], conditions.mount[rows]
-        steps[rows[1:]] = within_half_turn(np.diff(angle))
+        angle, mount, of_run = conditions.angle_rad[rows], conditions.mount[rows], run[rows]
+        other_run = of_run[1:] != of_run[:-1]
+        steps[rows[1:]] = np.where(other_run, 0.0, within_half_turn(np.diff(angle)))
         begins[rows[:1]] = True
-        begins[rows[1:]] = mount[1:] != mount[:-1]
-        self._first = np.maximum.accumulate(np.where(begins, np.arange(n), 0)) if n else np.zeros(0, np.int64)
-        self.wound: Floats = np.cumsum(steps)
+        begins[rows[1:]] = (mount[1:] != mount[:-1]) | other_run
+        self._first = _last_of(begins)
+        start = _last_of(np.concatenate([np.ones(min(n, 1), dtype=bool), run[1:] != run[:-1]]))
+        wound, visit = np.cumsum(steps), np.cumsum(begins)
+        self.wound: Floats = wound - wound[start]
         self._to_and_fro: Floats = np.cumsum(np.abs(steps))
-        self.visit: Floats = np.cumsum(begins).astype(np.float64)
+        self.visit: Floats = (visit - visit[start] + begins[start]).astype(np.float64)
 
     @property
     def turned(self) -> Floats:
@@ -60,6 +64,15 @@ class HeadTurns:
     def travelled(self) -> Floats:
         """Since the block was mounted, to and fro."""
         return np.asarray(self._to_and_fro - self._to_and_fro[self._first])
+
+
+def _last_of(begins: Mask) -> Ints:
+    """Return for each row the last one up to it at which something begins, the first row where nothing has."""
+    return (
+        np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
+        if len(begins)
+        else begins.astype(np.int64)
+    )
 
 
 @dataclass(frozen=True)

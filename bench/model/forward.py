@@ -109,8 +109,10 @@ class ForwardModel:
         on_platform = specific_force_on_platform(angle, stand)
         return np.asarray(np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform))
 
-    def _additions(self, stage: Stage, signal: Floats, conditions: Conditions, block: Block) -> Floats:
-        total = np.zeros_like(signal)
+    def _additions(
+        self, stage: Stage, signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats | float:
+        total: Floats | float = 0.0
         for applied in self.effects:
             if applied.effect.stage is stage:
                 rows = self._with_turns(conditions) if applied.effect.needs_path else conditions
@@ -127,5 +129,9 @@ class ForwardModel:
 
     def _turns(self, conditions: Conditions) -> Floats:
         """Return how the block sits in each mounting, shape (mounts, 3, 3), NaN where it is not known."""
-        known = [self.installations.get(mount.installation) for mount in conditions.mounts]
-        return np.stack([_UNKNOWN_TURN if i is None else i.block_from_platform for i in known])
+        kept: tuple[object, Floats] | None = conditions.memory.get("turns")
+        if kept is None or kept[0] is not self.installations:
+            known = [self.installations.get(mount.installation) for mount in conditions.mounts]
+            turns = np.stack([_UNKNOWN_TURN if i is None else i.block_from_platform for i in known])
+            kept = conditions.memory["turns"] = self.installations, turns
+        return kept[1]

@@ -17,7 +17,8 @@ class Settings:
     """A panel over the runs in a folder.
 
     `address` is the one that a proxy with TLS before it has, such as https://lab; `laboratory` a laboratory file,
-    whose register holds the certificates of the runs.
+    whose register holds the certificates of the runs; `catalogue` the one that its pages on units show, empty for
+    none.
     """
 
     runs: Path
@@ -25,6 +26,7 @@ class Settings:
     port: int = PORT
     address: str = ""
     laboratory: Path | None = None
+    catalogue: str = ""
 
     @property
     def loopback(self) -> bool:

@@ -191,6 +191,13 @@ class EventType(StrEnum):
     """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
     CLOCK_JUMPED = "clock_jumped"
     """`ahead_s`, by how much civil time went ahead of the bench's since the event before."""
+    CHOSEN = "chosen"
+    """What is measured next, where a run goes on until it is good enough: `visit`, the number of the
+    mounting; `left_out`, ranges [first, last] of steps that are not needed, and `taken_up`, of such that
+    are after all; `now`, what the goal that is furthest from reached is at (None before the readings
+    determine the coefficients); `settings` and `repeats` so far; `next`, the points, what they take and
+    bring; `in_all`, what is expected until the end; `undecided`, the steps that later choices are about,
+    with the time expected of them; or `stop`, why nothing more is measured."""
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
 
@@ -214,6 +221,7 @@ _TOLD: Final[Mapping[str, _Told]] = {
     EventType.POWER: (("power", str),),
     EventType.EARLY_SIGN: (("sentence", str),),
     EventType.WISH_REFUSED: (("wish", str), ("why", str)),
+    EventType.CHOSEN: (("visit", int), ("left_out", list), ("stop", str)),
     EventType.ASKED: (("id", str), ("kind", str), ("text", str), ("action", dict)),
     EventType.ANSWERED: (("id", str), ("answer", str)),
     EventType.ANSWER_REFUSED: (("id", str), ("answer", str), ("why", str)),

@@ -118,11 +118,19 @@ class Run:
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
         """Say how much of the plan was measured, where it is not all."""
-        planned = sum(isinstance(step, Read) for step in self.plan.steps)
-        if taken == planned:
-            return ()
-        state = self.trusted_history().state
-        return (f"the run is {state}: {taken} of {planned} planned readings were taken",)
+        history = self.trusted_history()
+        out = history.progress.left_out
+        planned = [i for i, step in enumerate(self.plan.steps) if isinstance(step, Read)]
+        needed = sum(i not in out for i in planned)
+        notes = []
+        if out:
+            asked = ", ".join(self.manifest.get("until", ()))
+            notes.append(
+                f"measured until {asked}: {len(planned) - needed} of {len(planned)} planned readings were left out"
+            )
+        if taken != needed:
+            notes.append(f"the run is {history.state}: {taken} of {needed} planned readings were taken")
+        return tuple(notes)
 
 
 def checked_name(name: str) -> str:

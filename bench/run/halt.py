@@ -102,7 +102,7 @@ def redo_from(plan: Plan, progress: Progress, wish: Wish, index: int) -> tuple[i
     None where no point was measured since the block was mounted.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
-    turn = turn_before(plan, after)
+    turn = turn_before(plan, after, progress.left_out)
     if turn == after:
         return None
     if wish is not Wish.REPEAT_POINT:

@@ -27,6 +27,21 @@ class VerdictAsked(TypedDict, total=False):
     guard_band: float
 
 
+class CheckedBefore(TypedDict, total=False):
+    """What the check block said as the run began: `run` of the check block, how old, what the `rule` is.
+
+    `state` is in control, out of control, too old or missing, `said` the same in words; `despite` is why the run
+    was begun all the same, where the state spoke against it.
+    """
+
+    rule: str
+    state: str
+    said: str
+    run: str
+    age_h: float
+    despite: str
+
+
 class Manifest(TypedDict, total=False):
     """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
 
@@ -34,7 +49,8 @@ class Manifest(TypedDict, total=False):
     `readings` that has, and nothing of a procedure. `living` is a dry run whose questions a person answers.
     `bench_why` says why that bench file was taken. `devices` says
     where those drivers came from that are none of the bench's own, `verdict` how it is judged in place of the bench
-    file's; both are left out where there is nothing.
+    file's, `until` the goals at which it ends, `check_block` what that said; all are left out where there is
+    nothing.
     """
 
     format: int
@@ -54,6 +70,8 @@ class Manifest(TypedDict, total=False):
     versions: dict[str, str]
     devices: dict[str, str]
     verdict: VerdictAsked
+    until: list[str]
+    check_block: CheckedBefore
     files: dict[str, str]
 
 

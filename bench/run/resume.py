@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
@@ -28,7 +28,8 @@ class Progress:
     at which one did whose point was redone for it, `gone_on` those at which one was overruled, `signs` how many
     there were. `power` is what was told last of the block's: "on", "found on", "off", "fault", or nothing;
     `off_since_s` since when it is off, `warm` whether it has warmed up since it was switched on. `asked` knows the
-    question that stands, `answers_heard` how many lines of the answers left in the folder were heard.
+    question that stands, `answers_heard` how many lines of the answers left in the folder were heard. `chosen` is
+    what was chosen on the way, in order, and `left_out` are the steps that are not needed by that.
     """
 
     done: set[int] = field(default_factory=set)
@@ -47,6 +48,8 @@ class Progress:
     warm: bool = False
     asked: OpenPrompt = field(default_factory=OpenPrompt)
     answers_heard: int = 0
+    chosen: list[Mapping[str, Any]] = field(default_factory=list)
+    left_out: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, history: History) -> Progress:
@@ -63,9 +66,11 @@ class Progress:
             in_vain=set(of.in_vain),
             gone_on=set(of.gone_on),
             asked=copy(of.asked),
+            chosen=list(of.chosen),
+            left_out=set(of.left_out),
         )
 
-    def take(self, event: Event) -> None:
+    def take(self, event: Event) -> None:  # noqa: PLR0912 - one case for each kind of event
         """Take note of an event."""
         self.asked.take(event)
         match event.type:
@@ -100,8 +105,15 @@ class Progress:
                 self.redone.update(event.steps)
             case EventType.SKIPPED:
                 self.skipped.update(event.steps)
+            case EventType.CHOSEN:
+                self._note_choice(event.data)
             case EventType.ANSWERED | EventType.ANSWER_REFUSED:
                 self.answers_heard = max(self.answers_heard, int(event.data.get("line", 0)))
+
+    def _note_choice(self, chosen: Mapping[str, Any]) -> None:
+        self.chosen.append(chosen)
+        self.left_out |= steps_of(chosen["left_out"])
+        self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
         """Remember at which reading the point alone was redone for a sign; more than the point begins anew."""
@@ -132,7 +144,12 @@ class Progress:
 
     def settled(self, step: int) -> bool:
         """Whether nothing is left to do about a step."""
-        return step in self.done or step in self.skipped
+        return step in self.done or step in self.skipped or step in self.left_out
+
+
+def steps_of(ranges: Iterable[Sequence[int]]) -> set[int]:
+    """Return the steps of ranges [first, last]."""
+    return {step for first, last in ranges for step in range(int(first), int(last) + 1)}
 
 
 @dataclass(frozen=True)
@@ -155,14 +172,15 @@ def resume_point(plan: Plan, history: History) -> ResumePoint:
     `step` is `len(plan.steps)` when nothing is left to do. Raises `RecordError` for steps that the plan lacks.
     """
     progress = Progress.of(history)
-    if beyond := [step for step in (progress.done | progress.skipped) if step >= len(plan.steps)]:
+    known = progress.done | progress.skipped | progress.left_out
+    if beyond := [step for step in known if step >= len(plan.steps)]:
         raise RecordError(
             f"the record tells of step {max(beyond) + 1}, and the plan has {len(plan.steps)}: "
             "they are not of one run; take both from a copy of it"
         )
     last_s = history.events[-1].bench_s if history.events else 0.0
     step = next((i for i in range(len(plan.steps)) if not progress.settled(i)), len(plan.steps))
-    turn = turn_before(plan, step)
+    turn = turn_before(plan, step, progress.left_out)
     if turn == step or not _reading_is_open(plan, step):
         return ResumePoint(step, progress.begun_s.get(step, last_s))
     taken = [i for i in range(turn, step) if isinstance(plan.steps[i], Read)]
@@ -181,9 +199,14 @@ _ENDS_A_POINT: Final = Mount | SetTemperature | Level
 """After these the head is not where the last turn left it, or the block not as it was."""
 
 
-def turn_before(plan: Plan, step: int) -> int:
-    """The last turn before `step` with nothing mounted since; `step` where there is none."""
+def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
+    """The last turn before `step` with nothing mounted since; `step` where there is none.
+
+    Steps in `without` are none of the run.
+    """
     for index in range(min(step, len(plan.steps)) - 1, -1, -1):
+        if index in without:
+            continue
         if isinstance(plan.steps[index], Turn):
             return index
         if isinstance(plan.steps[index], _ENDS_A_POINT):

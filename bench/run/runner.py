@@ -43,12 +43,7 @@ from bench.run.watch.sign import EarlySign
 from bench.run.way_out import how_it_stopped, leave_safe
 from bench.run.workbench import NAP_S, Instruments, Workbench
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import (
-    BadReading,
-    InstrumentLost,
-    InstrumentRefused,
-    Person,
-)
+from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused, Person
 
 Observer = Callable[[Event], None]
 Watch = Callable[[Reading], Sequence[EarlySign]]
@@ -76,7 +71,7 @@ class Runner:
     where `clocks` see to it. `certificates` says of the serial numbers that answered, by name, what is to be told
     of the instruments' certificates. `fed` is how the power supply feeds the block. `asker` is the living person
     behind `person` or `decider`, who may be asked in more than one place; `stopped` tells the wish by which the
-    program was interrupted.
+    program was interrupted. `choose` says at a step what of the rest is measured, where that is chosen on the way.
     """
 
     plan: Plan
@@ -103,6 +98,7 @@ class Runner:
     fed: Feeding | None = None
     asker: Asker | None = None
     stopped: Callable[[], RunControl | None] = lambda: None
+    choose: Callable[[int, Progress], dict[str, Any] | None] = lambda index, progress: None
     state: RunState = RunState.READY
     _zero_s: float = 0.0
 
@@ -172,26 +168,33 @@ class Runner:
 
     def _carry_out(self, start: int) -> None:
         index = start
-        while index < len(self.plan.steps) or self.progress.doubt is not None:
+        while (index := self._choose(index)) < len(self.plan.steps) or self.progress.doubt is not None:
             try:
-                self._ask_in_doubt()
-                self._hear()
-                if index == len(self.plan.steps):
+                if self._ask_in_doubt():
                     continue
+                self._hear()
                 if not self.progress.settled(index):
                     self._step(index)
                 index += 1
             except OperatorWish as wish:
                 index = self._obey(wish.control, index)
 
-    def _ask_in_doubt(self) -> None:
-        """Ask how to go on where an early sign stopped the run; raises `OperatorWish` for the answer."""
-        doubt = self.progress.doubt
-        if doubt is not None:
-            again = doubt.step in self.progress.in_vain
-            reason = how_to_go_on(self.decider or self.person, doubt, again=again)
-            told = {"causes": doubt.data["causes"], "reason": reason, **self._answerer().to_json()}
-            self._emit(EventType.WENT_ON, step=doubt.step, **told)
+    def _choose(self, index: int) -> int:
+        """Record what is measured next, where that is to be chosen at a step; return the step to go on with."""
+        if self.progress.doubt is not None or (chosen := self.choose(index, self.progress)) is None:
+            return index
+        self._emit(EventType.CHOSEN, **chosen)
+        return min(index, chosen["next"]["first"]) if "next" in chosen else index
+
+    def _ask_in_doubt(self) -> bool:
+        """Ask how to go on where an early sign stopped the run, and say whether it did; raises `OperatorWish`."""
+        if (doubt := self.progress.doubt) is None:
+            return False
+        again = doubt.step in self.progress.in_vain
+        reason = how_to_go_on(self.decider or self.person, doubt, again=again)
+        told = {"causes": doubt.data["causes"], "reason": reason, **self._answerer().to_json()}
+        self._emit(EventType.WENT_ON, step=doubt.step, **told)
+        return True
 
     # --- the life of a run ---------------------------------------------------------------------------
 
@@ -241,7 +244,8 @@ class Runner:
         """Bring the bench to where the steps before the one to go on with left it."""
         before = self.plan.steps[: resume.step]
         for kind in (SetTemperature, Mount, SelectInput):
-            last = next((step for step in reversed(before) if isinstance(step, kind)), None)
+            kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
+            last = next((step for step in reversed([*kept]) if isinstance(step, kind)), None)
             if isinstance(last, SetTemperature):
                 self._insist(partial(self._workbench.set_temperature, last))
             elif isinstance(last, Mount):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
+from bench.base.numbers import figures, scale_for
 from bench.run.events import Event, EventType
 
 TERMINAL: Final = "terminal"
@@ -45,6 +46,8 @@ def sentence(event: Event) -> str:
                 f"the block was without power: its further readings in installation {data['installation']} are "
                 f"another visit, series {data['now_series']}"
             )
+        case EventType.CHOSEN:
+            return chosen_in_words(data)
         case EventType.LEFT_SAFE:
             return "still to do: " + "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
     return _of_somebody(event) or event.type
@@ -116,3 +119,59 @@ def duration(seconds: float) -> str:
     if seconds >= 90:
         return f"{round(seconds / 60)} min"
     return f"{round(seconds)} s"
+
+
+_STOPS: Final[Mapping[str, str]] = {
+    "reached": "enough",
+    "used up": "not reached, and nothing is left to measure",
+    "time": "the time is up",
+}
+
+
+def chosen_in_words(data: Mapping[str, Any]) -> str:
+    """Say what is reached, and what is measured next and brings, or why nothing more is."""
+    so_far = f"{data['settings']} settings, {data['repeats']} repeats"
+    now = _goal_in_words(data.get("now"))
+    if data["stop"]:
+        why = _STOPS.get(data["stop"], data["stop"])
+        words = f"{why}: {now or 'the coefficients are not determined'}; {so_far}"
+        needless = data.get("not_needed", 0)
+        return f"{words}; {needless} are not needed" if needless else words
+    coming, in_all = data["next"], data["in_all"]
+    place = coming["installation"] + ("" if coming["series"] == 1 else f"/{coming['series']}")
+    count = len(coming["points"])
+    words = f"next: {count} point{'s' * (count != 1)} in installation {place}, {duration(coming['takes_s'])}"
+    if coming.get("tells_apart"):
+        words += ", to tell apart what may explain the misfit"
+    if (then := coming.get("then")) is not None:
+        words += f", for {size_in_words(then['u'], then['unit'])}"
+        if (gained := _per_minute(data.get("now"), coming)) is not None:
+            words += f" ({gained} a minute)"
+    further = in_all["settings"] - count
+    left = f"then about {further} more; " if further > 0 else ""
+    left += f"{duration(in_all['takes_s'])} to the end"
+    return "; ".join(filter(None, (now, so_far if data["settings"] else "", words, left)))
+
+
+def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
+    """Say how far a goal is reached: "u of Kxy 61 µV/g of 50 µV/g"."""
+    if reached is None:
+        return ""
+    words = f"{reached['goal']} {size_in_words(reached['u'], reached['unit'])}"
+    asked = reached.get("asked")
+    return f"{words} of {size_in_words(asked, reached['unit'])}" if asked else words
+
+
+def size_in_words(u: float, unit: str) -> str:
+    """Return an uncertainty with its prefix: "49.8 µV/g"."""
+    base, slash, per = unit.partition("/")
+    scale = scale_for(u, base)
+    return f"{figures(u / scale.size)} {scale.unit}{slash}{per}"
+
+
+def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str | None:
+    """Say what a minute brings, where the goal is the same one before and after."""
+    then, takes_s = coming["then"], float(coming["takes_s"])
+    if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:
+        return None
+    return size_in_words((now["u"] - then["u"]) / (takes_s / 60.0), now["unit"])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Final, TextIO
+from typing import Any, Final, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -192,12 +192,24 @@ class ProgressBar:
         elif event.type == EventType.STEP_DONE:
             self._progress.update(self._task, completed=event.step + 1)
             self._show_reading(event.reading)
+        elif event.type == EventType.CHOSEN:
+            self._time_left.choose(event.data)
+            self._say_chosen(event)
         elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):
             pass  # the question how to go on says it, and where nobody answers the end of the run
         elif (text := sentence(event)) != event.type:
             if self._asked:
                 self._console.print()  # the question's line ends where the answer is to stand
             self._console.print(Text(text, style="bold yellow"), soft_wrap=False)
+
+    def recall(self, chosen: Sequence[Mapping[str, Any]]) -> None:
+        """Learn what was chosen before the run was taken up again."""
+        for one in chosen:
+            self._time_left.choose(one)
+
+    def _say_chosen(self, event: Event) -> None:
+        if not quiet.get():
+            self._console.print(Text(sentence(event), style="bold"), soft_wrap=False)
 
     def settling(self, state: Settling) -> None:
         """Show how far what is waited for has settled."""

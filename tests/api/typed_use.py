@@ -18,6 +18,7 @@ def use() -> None:
     assert_type(result.to_dict(), dict[str, Any])
     assert_type(bench.verify("unit-17", coefficients=result).passed, bool)
     assert_type(bench.diagnose(["first", "second"]).verdict, str)
+    assert_type(bench.chart("runs", bench="paper-stand").accepted, bool)
     assert_type(bench.budget("paper-stand").capable, bool | None)
     assert_type(bench.dry_run("paper", seed=2).calibration, bench.CalibrationResult)
     bench.calibrate("unit-17", 9.81)  # type: ignore[arg-type, call-arg]

@@ -20,17 +20,17 @@ HOME = "http://127.0.0.1:8741"
 OWN = {"origin": HOME}
 
 
-def stranger(runs: Path) -> TestClient:
+def stranger(runs: Path, catalogue: str = "") -> TestClient:
     """Return a browser of nobody."""
     runs.mkdir(exist_ok=True)
-    return TestClient(make_app(Settings(runs)), base_url=HOME, follow_redirects=False)
+    return TestClient(make_app(Settings(runs, catalogue=catalogue)), base_url=HOME, follow_redirects=False)
 
 
 class Browser:
     """A browser of a person who is signed in."""
 
-    def __init__(self, runs: Path, name: str, role: Role = Role.OPERATOR) -> None:
-        self.client = stranger(runs)
+    def __init__(self, runs: Path, name: str, role: Role = Role.OPERATOR, catalogue: str = "") -> None:
+        self.client = stranger(runs, catalogue)
         access = Access(runs / STATE)
         self.token = access.new_token(name, role)
         assert self.client.post("/sign-in", data={"token": self.token}, headers=OWN).status_code == 303

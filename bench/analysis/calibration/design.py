@@ -143,8 +143,7 @@ class Problem:
 
     def predict(self, block: Block, others: Floats, setting_rad: float = 0.0) -> Floats:
         """Return the readings (n, 3) that the model predicts for these values of the unknowns."""
-        model = replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
-        return model.readings(block, self.conditions, self.stand_matrix(others), setting_rad)
+        return self._model_at(others).readings(block, self.conditions, self.stand_matrix(others), setting_rad)
 
     def stand_matrix(self, others: Floats) -> Floats:
         """Return the stand angles (mounts, 5) in rad."""
@@ -240,29 +239,38 @@ class Problem:
         columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
         shift = 1e-3 * float(np.max(np.abs(block.K)))
         late = [applied.effect.stage in AFTER_FORCE for applied in self.model.effects]
-        acting = replace(self.model, effects=self.effects_at(others)).specific_force(
-            self.conditions, self.stand_matrix(others), block
-        )
+        here, stand = self._model_at(others), self.stand_matrix(others)
+        acting = here.specific_force(self.conditions, stand, block)
         for j in range(FIXED):
             step = np.zeros(FIXED)
             step[j] = shift
             force = acting if all(late) else None
-            up = self._read(Block.from_vector(block.vector + step), others, force)
-            down = self._read(Block.from_vector(block.vector - step), others, force)
+            up = self._read(here, Block.from_vector(block.vector + step), stand, force)
+            down = self._read(here, Block.from_vector(block.vector - step), stand, force)
             columns[:, :, j] = (up - down) / (2 * shift)
-        for j in range(len(others)):
+        for j in range(len(self.stand)):
             step = self.other_step(j)
-            of_effect = j >= len(self.stand) and late[self.effects[j - len(self.stand)].effect]
-            force = acting if of_effect else None
-            difference = self._read(block, others + step, force) - self._read(block, others - step, force)
-            columns[:, :, FIXED + j] = difference / (2 * step[j])
-        return Linearisation(self._read(block, others, acting), columns, self.slope(block, others))
+            up, down = (
+                self._read(here, block, self.stand_matrix(at), None) for at in (others + step, others - step)
+            )
+            columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
+        for j in range(len(self.stand), len(others)):
+            step = self.other_step(j)
+            force = acting if late[self.effects[j - len(self.stand)].effect] else None
+            up, down = (
+                self._read(self._model_at(at), block, stand, force) for at in (others + step, others - step)
+            )
+            columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
+        return Linearisation(self._read(here, block, stand, acting), columns, self.slope(block, others))
 
-    def _read(self, block: Block, others: Floats, force: Floats | None) -> Floats:
-        """Return what `predict` does, where the specific force (n, 3) that acts is known by now."""
+    def _model_at(self, others: Floats) -> ForwardModel:
+        """Return the model with these values of the unknowns."""
+        return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
+
+    def _read(self, model: ForwardModel, block: Block, stand: Floats, force: Floats | None) -> Floats:
+        """Return the readings (n, 3) of a model; for the specific `force` (n, 3) that acts, where it is known."""
         if force is None:
-            return self.predict(block, others)
-        model = replace(self.model, effects=self.effects_at(others))
+            return model.readings(block, self.conditions, stand)
         return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
 
     def other_step(self, j: int) -> Floats:

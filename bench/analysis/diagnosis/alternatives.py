@@ -8,11 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.calibration.design import FIXED
-from bench.analysis.diagnosis.evidence import Whitened
 from bench.analysis.diagnosis.naming import Scored
-from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.posterior import posterior
-from bench.analysis.diagnosis.repeats import noise_of_repeats
 from bench.analysis.diagnosis.result import Diagnosis
 from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
@@ -50,18 +47,15 @@ class Rival:
         }
 
 
-def rivals(diagnosis: Diagnosis, setting_rad: float) -> tuple[tuple[Rival, ...], ...]:
+def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
     """Return for each effect that was found the most plausible families in its place, itself among them.
 
-    `setting_rad` is the setting error that the bench file states. All that is tied is among them.
+    All that is tied is among them.
     """
     naming = diagnosis.naming
     if not naming.found:
         return ()
     linear, candidates = diagnosis.linear, diagnosis.candidates
-    repeats = noise_of_repeats(linear, linear.readings.resolution)
-    whitened = Whitened.of(make_noise_grid(linear, repeats.sigma, setting_rad), candidates)
-    data = whitened.reduce(linear.response[:, None])
     fixed = linear.fixed.shape[1]
     u = np.sqrt(np.diag(diagnosis.fitted.covariance))[:fixed]
     # with the same wide prior as each rival, or the priors would pass for a difference
@@ -70,7 +64,7 @@ def rivals(diagnosis: Diagnosis, setting_rad: float) -> tuple[tuple[Rival, ...],
     rankings = []
     for one in naming.found:
         others = [i for f in naming.found if f is not one for i in f.variant.columns]
-        scored = Scored.beside(whitened, data, others)
+        scored = Scored.beside(diagnosis.whitened, diagnosis.data, others)
         ranked = sorted(scored.evidence, key=lambda family: -scored.evidence[family])
         alike = {one.variant.family, *one.ties, *one.plainer_than}
         rows = []

@@ -101,14 +101,13 @@ def diagnose(
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit)
     of_copy = _verdict(False, effects, findings, gap)
     instead: tuple[int, ...] = ()
-    # several blocks have coefficients and shapes of their own: a form without a name is sought in readings of one
-    of_one = linear.readings.block is None
-    if of_copy == "named" and of_one:
+    # with several blocks no form competes with a name: each of the ratios would take the products of all forms
+    if of_copy == "named" and linear.readings.block is None:
         instead = unnamed_in_place(linear, whitened, data, naming, in_part, setting_rad)
         effects = tuple(_tied_with_form(e) if i in instead else e for i, e in enumerate(effects))
         of_copy = _verdict(False, effects, findings, gap)
     form = None
-    if (of_copy == "unknown" and of_one) or instead:
+    if of_copy == "unknown" or instead:
         given = [
             column
             for i, f in enumerate(naming.found)
@@ -140,6 +139,8 @@ def diagnose(
         left_open=left_open(linear, candidates, naming, others, fitted, noise),
         noise=noise,
         p_left=p_left,
+        whitened=whitened,
+        data=data,
         findings=findings,
         noise_kinds=described,
         notes=(

@@ -61,21 +61,25 @@ class Data:
 class Whitened:
     """The candidates' columns in units of the noise, by their scalar products.
 
-    `kept` is for who searches in the same data again and again.
+    `kept` is for who searches in the same data again and again; `part_of` is the whole of what is one ratio of it.
     """
 
     grid: NoiseGrid
     candidates: Candidates
     products: Products
+    part_of: tuple[Whitened, int] | None = field(default=None, compare=False, repr=False)
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
-    def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
-        """Whiten the columns of all candidates."""
+    def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
+        """Whiten the columns of all candidates; with `few_known` no products are made but what models need."""
         rows, many = candidates.columns.shape
         scaled = candidates.columns / grid.sigma
-        if many > rows:
-            return cls(grid, candidates, OfColumns(np.stack([white @ scaled for white in grid.white])))
+        if many > rows or few_known:
+            whitened = np.empty((len(grid.white), rows, many))
+            for ratio, white in enumerate(grid.white):
+                whitened[ratio] = white @ scaled
+            return cls(grid, candidates, OfColumns(whitened))
         gram = np.empty((len(grid.white), many, many))
         for ratio, white in enumerate(grid.white):
             columns = white @ scaled
@@ -89,7 +93,7 @@ class Whitened:
 
     def at(self, ratio: int) -> Whitened:
         """Return the columns for one ratio alone."""
-        return Whitened(self.grid.at(ratio), self.candidates, self.products.at(ratio))
+        return Whitened(self.grid.at(ratio), self.candidates, self.products.at(ratio), (self, ratio))
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of some columns for one ratio."""
@@ -104,6 +108,11 @@ class Whitened:
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """Variants with equally many columns: their numbers (v,), columns (v, p), Gram (ratios, v, p, p)."""
+        if self.part_of is not None:
+            whole, ratio = self.part_of
+            return tuple(
+                (members, columns, gram[ratio : ratio + 1]) for members, columns, gram in whole.blocks
+            )
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)

@@ -202,7 +202,7 @@ def diagnose_fully(
         skipped_rows=readings.skipped,
         diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *told)),
         shown=shown,
-        ranking=rivals(diagnosis, stand_u["setting_error"]),
+        ranking=rivals(diagnosis),
         # a proposal is for one block: which of several would be measured again, nobody said
         next_measurement=propose(diagnosis, bench) if len(blocks) == 1 else None,
         blocks=blocks if len(blocks) > 1 else (),

@@ -20,7 +20,7 @@ from bench.analysis.calibration.design import make_problem
 from bench.analysis.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.analysis.mistakes.search import MistakeSearch, find_mistakes
 from bench.base.arrays import Floats, Ints
-from bench.model import AppliedEffect, Block, Conditions, ForwardModel
+from bench.model import AppliedEffect, Block, Conditions, ForwardModel, Stage
 from bench.model.effects import Subsystem
 from bench.readings.joined import stacked
 from bench.readings.table import Readings
@@ -61,6 +61,21 @@ class JointSystem(LinearSystem):
     def effect_columns(self, applied: AppliedEffect) -> Floats:
         """Return the same for each channel of an effect of the block apart, shape (N, 3)."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
+
+    def formula_columns(self, applied: AppliedEffect) -> Floats:
+        """Return what an effect that needs no path adds to the rows, the same in all blocks, as of one."""
+        return np.concatenate([part.formula_columns(applied) for part in self.parts])
+
+    def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
+        """Return what a course over the readings (n,) adds at a stage, the same in all blocks, as of one."""
+        assert self.readings.block is not None  # noqa: S101 - it is a system of several
+        own = [course[self.readings.block == number] for number in np.unique(self.readings.block)]
+        return np.concatenate(
+            [
+                part.course_columns(mine, stage, adds_to, of_force=of_force)
+                for mine, part in zip(own, self.parts, strict=True)
+            ]
+        )
 
 
 def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:

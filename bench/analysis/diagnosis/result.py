@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.form.describe import FreeForm
 from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.known_together import KnownTogether
@@ -128,6 +129,7 @@ class Diagnosis:
     error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
     plausible sizes, that are found in half of all runs, `smallest` of effects with several in whatever
     direction. `linear`, `candidates`, `naming`, `fitted` and `noise` are what plots and report are drawn from;
+    `whitened` and `data` are those in which it was found;
     `in_part` what the effects may have of other shapes, which is in the coefficients' u, `left_open` what the
     readings left of it, for a model file; `findings` where noise is
     larger than stated, `noise_kinds` in what it is no normal noise of one size.
@@ -153,6 +155,8 @@ class Diagnosis:
     left_open: tuple[AppliedEffect, ...]
     noise: NoiseSize
     p_left: float
+    whitened: Whitened
+    data: Data
     form: FreeForm | None = None
     findings: tuple[NoiseFinding, ...] = ()
     noise_kinds: tuple[NoiseKind, ...] = ()

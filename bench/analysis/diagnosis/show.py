@@ -205,7 +205,8 @@ def _simulate(
         model=bench,
         calibration=calibrate(readings, model, stand_u, g_m_s2, join_verification=joined),
         test=_test(problem, fit, rows.signal - still),
-        repeated=calibrate(noisy, weak, stand_u, g_m_s2),
+        # its noise is fresh in every reading: nothing that repeats share is there to be found
+        repeated=calibrate(noisy, weak, stand_u, g_m_s2, find_shared=False),
         effects=effects,
         points=_points(readings, problem, fit),
         joined=joined,

@@ -80,7 +80,7 @@ class UnitDrift:
                 f"asked for {days.min().astype('datetime64[D]')}"
             )
         value, variance = self.states.predicted(years)
-        shape = (*days.shape, len(COEFFICIENTS))
+        shape = (*days.shape, len(self.rate))
         return value.reshape(shape), np.sqrt(variance + self.common**2).reshape(shape)
 
     def to_json(self) -> dict[str, Any]:
@@ -154,6 +154,11 @@ def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats |
     ones, of what is alike in all of them, as the gain of the same meters: it moves no rate, and no number of
     calibrations makes it smaller. Raises `CalibrationError` for fewer than three calibrations, or all of one day.
     """
+    return history_drift(when, vector, np.diagonal(covariance, axis1=1, axis2=2), common)
+
+
+def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
+    """Return the drift of any m sizes, `values` (n, m) with `variance` (n, m), in place of the twelve; as above."""
     order = np.argsort(when, kind="stable")
     dates = np.asarray(when, dtype="datetime64[s]")[order]
     seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)
@@ -161,16 +166,16 @@ def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats |
         raise CalibrationError(
             f"a drift needs {LEAST_FOR_DRIFT} calibrations or more over more than a day; there are {len(dates)}"
         )
-    alike = np.zeros(len(COEFFICIENTS)) if common is None else np.asarray(common, dtype=float)
-    stated = np.diagonal(covariance, axis1=1, axis2=2)[order]
+    alike = np.zeros(values.shape[1]) if common is None else np.asarray(common, dtype=float)
+    stated = variance[order]
     own = np.maximum(stated - alike**2, 1e-6 * stated)
     years = seconds / SECONDS_PER_YEAR
-    history = _History(years, np.asarray(vector, dtype=float)[order], own)
+    history = _History(years, np.asarray(values, dtype=float)[order], own)
     states, sizes = history.known()
-    rate, variance = states.rate
-    p = special.erfc(np.abs(rate) / np.sqrt(2.0 * variance))
+    rate, variance_of_rate = states.rate
+    p = special.erfc(np.abs(rate) / np.sqrt(2.0 * variance_of_rate))
     return UnitDrift(
-        rate=rate, u_rate=np.sqrt(variance), p_all_looks=np.minimum(1.0, len(COEFFICIENTS) * p),
+        rate=rate, u_rate=np.sqrt(variance_of_rate), p_all_looks=np.minimum(1.0, len(rate) * p),
         between=sizes[0], between_most=sizes[1], walk=sizes[2], walk_most=sizes[3],
         first=dates[0], last=dates[-1], count=len(dates), states=states, common=alike,
     )  # fmt: skip
@@ -194,7 +199,7 @@ class _History:
 
     def known(self) -> tuple[States, tuple[Floats, Floats, Floats, Floats]]:
         """Return the states, and REML and upper limit of scatter and walk, (12,) each."""
-        lowest = np.full((2, len(COEFFICIENTS)), np.log(LEAST_SIZE))
+        lowest = np.full((2, self.y.shape[1]), np.log(LEAST_SIZE))
         highest = np.full_like(lowest, np.log(MOST_SIZE))
         for _ in range(2):
             nodes = np.linspace(lowest, highest, GRID, axis=-1)
@@ -202,7 +207,7 @@ class _History:
             lowest, highest = _within(nodes, density)
         between, walk = (np.exp(nodes[j]) * self._scales[j][:, None] for j in (0, 1))
         found = []
-        best = likelihood.reshape(len(COEFFICIENTS), -1).argmax(axis=1)
+        best = likelihood.reshape(self.y.shape[1], -1).argmax(axis=1)
         share = states.weight.reshape(density.shape)
         for sizes, index, along in ((between, best // GRID, 2), (walk, best % GRID, 1)):
             found.append(np.where(index == 0, 0.0, _taken(sizes, index)))
@@ -223,7 +228,7 @@ class _History:
         misfit = squares[:, :, 0, 0] - np.einsum("kmc,kmc->km", line, squares[:, :, 1:, 0])
         likelihood = -0.5 * (logs + np.linalg.slogdet(precision)[1] + misfit)
         prior = [-0.5 * (PRIOR_DOF + 1) * np.log1p(np.exp(2 * n) / PRIOR_DOF) + n for n in nodes]
-        shape = (len(COEFFICIENTS), GRID, GRID)
+        shape = (self.y.shape[1], GRID, GRID)
         density = likelihood.reshape(shape) + prior[0][:, :, None] + prior[1][:, None, :]
         heights = np.exp(density - density.max(axis=(1, 2), keepdims=True)).reshape(tau.shape)
         weight = heights / heights.sum(axis=1, keepdims=True)

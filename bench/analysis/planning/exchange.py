@@ -55,9 +55,19 @@ class SettingPool:
 
 
 class ExchangeDesign:
-    """Visits `counts` (c,) to the candidates, for goals; moves change them one visit at a time."""
+    """Visits `counts` (c,) to the candidates, for goals; moves change them one visit at a time.
 
-    def __init__(self, candidates: SettingPool, goals: Sequence[Goal], counts: Ints | None = None) -> None:
+    They stay between `least` and `most` (c,), where these are given.
+    """
+
+    def __init__(
+        self,
+        candidates: SettingPool,
+        goals: Sequence[Goal],
+        counts: Ints | None = None,
+        least: Ints | None = None,
+        most: Ints | None = None,
+    ) -> None:
         self._rows = candidates.rows
         self._information_of = candidates.information
         self._functionals = np.concatenate([goal.functionals for goal in goals])
@@ -68,6 +78,8 @@ class ExchangeDesign:
         prior[:FIXED] = _WEAKLY_KNOWN**-2
         self._prior = np.diag(prior)
         self.counts = np.zeros(len(self._rows), dtype=np.int64) if counts is None else counts.copy()
+        self._least = np.zeros_like(self.counts) if least is None else least
+        self._most = np.full_like(self.counts, np.iinfo(np.int64).max) if most is None else most
 
     @property
     def settings(self) -> int:
@@ -107,12 +119,13 @@ class ExchangeDesign:
 
     def add_best(self) -> None:
         """Visit once more the candidate that helps most."""
-        self.counts[int(np.argmin(self._after(self.covariance(), 1.0, _POWERS[0])))] += 1
+        gain = self._after(self.covariance(), 1.0, _POWERS[0])
+        self.counts[int(np.argmin(np.where(self.counts < self._most, gain, np.inf)))] += 1
 
     def drop_least(self) -> None:
         """Leave out the visit that matters least."""
         loss = self._after(self.covariance(), -1.0, _POWERS[-1])
-        loss[self.counts == 0] = np.inf
+        loss[self.counts <= self._least] = np.inf
         self.counts[int(np.argmin(loss))] -= 1
 
     def exchange(self) -> None:
@@ -125,9 +138,10 @@ class ExchangeDesign:
     def _exchanged(self, score: float, power: float) -> float:
         """Make the first exchange that helps, visits that matter least first; return the score after it."""
         loss = self._after(self.covariance(), -1.0, power)
-        for leave in sorted(np.flatnonzero(self.counts), key=loss.__getitem__):
+        for leave in sorted(np.flatnonzero(self.counts > self._least), key=loss.__getitem__):
             self.counts[leave] -= 1
             scores = self._after(self.covariance(), 1.0, power)
+            scores = np.where(self.counts < self._most, scores, np.inf)
             enter = int(np.argmin(scores))
             if scores[enter] < score * (1 - _GAIN):
                 self.counts[enter] += 1

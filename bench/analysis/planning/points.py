@@ -13,7 +13,7 @@ import numpy as np
 from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import stand_source
-from bench.analysis.calibration.design import FIXED, make_problem
+from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.estimators import GLS
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
 from bench.analysis.calibration.result import CalibrationError, Noise
@@ -85,6 +85,18 @@ def repeats(conditions: Conditions) -> int:
     return len(conditions) - (int(repeat_groups(conditions).max()) + 1)
 
 
+def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
+    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem that
+    they are of.
+
+    The q angles of the stand are in units of their prior standard uncertainty.
+    """
+    problem = make_problem(stand.model, conditions, stand.sizes)
+    linear = problem.linear(stand.block, problem.prior_mean)
+    scale = np.concatenate([np.ones(FIXED), problem.prior_u])
+    return whiten(linear.jacobian, linear.slope, stand.noise) * scale, problem
+
+
 class Sites:
     """Everywhere that the head may stand: each of `mounts` at each of the angles `angle_rad` (a,)."""
 
@@ -93,10 +105,7 @@ class Sites:
         self._kind = _kinds(stand.model, mounts, angle_rad)
         self.angle_rad = angle_rad
         settings = [Setting(m, 1, i, angle, 1) for m in mounts for i, angle in enumerate(angle_rad, start=1)]
-        problem = make_problem(stand.model, conditions_of(settings), stand.sizes)
-        linear = problem.linear(stand.block, problem.prior_mean)
-        scale = np.concatenate([np.ones(FIXED), problem.prior_u])
-        self._rows = whiten(linear.jacobian, linear.slope, stand.noise) * scale
+        self._rows, problem = whitened(stand, conditions_of(settings))
         self._mount_of_column = np.array([s.mount for s in problem.stand], dtype=np.int64)
 
     def candidates(self, chosen: Sequence[int]) -> SettingPool:

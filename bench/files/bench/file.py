@@ -23,6 +23,7 @@ from bench.base.units import FrequencyHz
 from bench.devices.heads import MotorisedHeadForm
 from bench.devices.registry import devices, unknown_drivers
 from bench.devices.unknown import UnknownVoltmeter
+from bench.files.bench.check_block import CheckBlockSection
 from bench.files.bench.crosschecks import FURTHER, mistakes_between_parts
 from bench.files.bench.instruments import InstrumentsSection, RecordedInstruments
 from bench.files.bench.simulation import SimulationSection
@@ -61,6 +62,7 @@ class BenchFile(FileModel):
     unit_under_test: UnitUnderTest
     verification: VerificationSection
     uncertainty: UncertaintySection = UncertaintySection()
+    check_block: CheckBlockSection | None = None
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     simulation: SimulationSection = SimulationSection()

@@ -193,7 +193,10 @@ class AppliedEffect:
         """Return the values of all parameters, zeros and default shapes filled in."""
         return {
             p.name: np.asarray(
-                self.values.get(p.name, np.full(3 if p.per_channel else (), p.default)), dtype=np.float64
+                self.values[p.name]
+                if p.name in self.values
+                else np.full(3 if p.per_channel else (), p.default),
+                dtype=np.float64,
             )
             for p in self.effect.parameters
         }

@@ -12,6 +12,7 @@ from bench.panel.following.seen import Seen
 from bench.panel.following.snapshot import About, snapshot
 from bench.panel.following.tail import Tail
 from bench.run.answers import AskedPrompt
+from bench.run.events import EventType
 from bench.run.folder import BENCH, Run
 from bench.run.record import is_being_written
 from bench.run.time_left import TimeLeft
@@ -61,6 +62,8 @@ class Follower:
         if grown:
             for event in self._tail.new():
                 self._seen.take(event)
+                if event.type == EventType.CHOSEN:
+                    self._time_left.choose(event.data)
                 self._residuals.note(event)
                 changed = True
         if not self._alive:

@@ -97,6 +97,9 @@ class Seen:
                 self.readings_done = sum(self._kinds[i] is Read for i in self.progress.done)
             case EventType.SKIPPED | EventType.STEP_FAILED:
                 self.step = None
+            case EventType.CHOSEN:
+                out = self.progress.left_out
+                self.readings_planned = sum(k is Read and i not in out for i, k in enumerate(self._kinds))
             case EventType.EARLY_SIGN:
                 self.warnings.append(event)
             case EventType.CHAMBER_SLOW:

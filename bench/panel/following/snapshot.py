@@ -137,7 +137,7 @@ def _where(seen: Seen, time_left: TimeLeft) -> dict[str, Any]:
         "readings": seen.readings_planned,
         "step": None if seen.step is None else seen.step.step + 1,
         "steps": len(seen.plan.steps),
-        "done": len(seen.progress.done | seen.progress.skipped),
+        "done": len(seen.progress.done | seen.progress.skipped | seen.progress.left_out),
         "left_s": left_s,
         "left": None if left_s is None else duration(left_s),
     }

@@ -8,11 +8,15 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
 from bench.panel import look
-from bench.panel.access.acting import person_of
+from bench.panel.access.acting import panel_of, person_of
 
 
 def page(request: Request, name: str, *, status: int = 200, **content: Any) -> HTMLResponse:
-    """Return the page that a template makes of its content, with `person` and `csrf` of who is signed in."""
+    """Return the page that a template makes of its content, with `person` and `csrf` of who is signed in.
+
+    `catalogue` says whether there are pages on units.
+    """
     if (person := person_of(request)) is not None:
-        content = {"person": person, "csrf": person.csrf, **content}
+        shown = bool(panel_of(request).settings.catalogue)
+        content = {"person": person, "csrf": person.csrf, "catalogue": shown, **content}
     return HTMLResponse(look.page(name, **content), status_code=status)

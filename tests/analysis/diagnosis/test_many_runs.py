@@ -123,7 +123,7 @@ class OneThreshold(ThresholdCache):
 
 
 @pytest.mark.slow
-def test_what_several_blocks_have_is_named_alone_and_no_form_without_a_name_is_sought():
+def test_what_several_blocks_have_is_named_alone_and_no_form_competes_with_it():
     rng = np.random.default_rng(23)
     tables = runs(2, 24, backlash_rad=np.radians(60 / 3600), directions=(1, -1, 1))
     tables[1] = other_block(tables[1], rng)

@@ -95,7 +95,7 @@ def test_an_effect_that_only_verification_points_show_lets_them_take_part():
 def test_a_rival_changes_the_coefficients_as_a_calibration_with_it_does():
     readings = paper_run(np.random.default_rng(7), K2=(0.0, 6e-5, 0.0), verification=False)
     diagnosis = diagnose(readings, MODEL, STAND, None, ThresholdCache(cache_folder("thresholds")))
-    (ranked,) = rivals(diagnosis, STAND["setting_error"])
+    (ranked,) = rivals(diagnosis)
     by_name = {rival.family: rival for rival in ranked}
     assert ranked[0].family == diagnosis.effects[0].name == "quadratic_nonlinearity"
     assert np.allclose(ranked[0].shift, 0.0, atol=1e-9)

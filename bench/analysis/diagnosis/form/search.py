@@ -109,7 +109,7 @@ def alike(whitened: Whitened, data: Data, given: int, found: list[Found], which:
 def whitened_columns(linear: LinearSystem, candidates: Candidates, setting: Setting) -> Whitened:
     """Whiten the columns of a dictionary in the noise as it is known by now."""
     grid = make_noise_grid(linear, setting.sigma, setting.setting_rad, setting.ratios)
-    return Whitened.of(grid, candidates)
+    return Whitened.of(grid, candidates, few_known=True)
 
 
 def held_out(

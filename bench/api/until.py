@@ -1,0 +1,299 @@
+"""Runs that go on until it is good enough: what is asked for, whether it can be reached, what is chosen on
+the way."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from bench.analysis.budget.sources import assumed_stand, hidden_sources, stand_sources
+from bench.analysis.calibration import CalibrationError
+from bench.analysis.planning.goals import Goal, coefficient_goals, modulus_goals, vector_goal, whole_goal
+from bench.analysis.planning.points import Stand
+from bench.analysis.planning.until.aim import (
+    NO_GOAL,
+    Aim,
+    Floor,
+    Reached,
+    Wanted,
+    floors,
+    reached_by,
+    with_hidden,
+)
+from bench.analysis.planning.until.apart import telling_apart
+from bench.analysis.planning.until.choice import REACHED, Chooser, Standing
+from bench.analysis.planning.until.noise import scale_of
+from bench.analysis.planning.until.outlook import TimeOutlook, time_outlook
+from bench.analysis.planning.until.pool import Pool, Site, pool_of
+from bench.api.calibration import CalibrationResult, calibration_of
+from bench.api.errors import Refused
+from bench.api.points import delta_g_of
+from bench.api.quantities import named, quantity
+from bench.api.source import Request, load_sources
+from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
+from bench.files.bench.file import BenchFile
+from bench.model import CATALOGUE, ForwardModel, Mounting
+from bench.procedure.plan import Plan
+from bench.readings.table import VERIFICATION
+from bench.run.folder import Run
+from bench.run.history import History
+from bench.run.manifest import Manifest, RecordError
+from bench.run.resume import Progress
+from bench.run.sentences import duration, size_in_words
+
+COMBINED: Final = "combined:"
+EXAMPLE: Final = "all=5e-5 (V/g and V), combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, modulus=1e-3 or time=4h"
+_PARTS_TOLD: Final = 3
+_NEARLY_ALL: Final = 0.995
+
+
+# --- what is asked for ------------------------------------------------------------------------------
+
+
+def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
+    """Return the goals of `--until`, several in a text with commas between. Raises `Refused` with all mistakes."""
+    wanted: list[Wanted] = []
+    limit_s: float | None = None
+    sizes: dict[bool, dict[str, float]] = {False: {}, True: {}}
+    mistakes = []
+    for text in (part.strip() for given in texts for part in given.split(",") if part.strip()):
+        try:
+            name, size = named("--until", text, EXAMPLE)
+            combined = name.startswith(COMBINED)
+            name = name.removeprefix(COMBINED).strip()
+            if name == "time" and not combined:
+                limit_s = _positive(text, quantity("--until", size, DURATION, plain=False))
+            elif name in ("delta-g", "vector", "modulus"):
+                wanted += _of_force(name, quantity("--until", size, ACCELERATION), stand, bench, combined)
+            else:
+                unit = VOLTAGE if name.startswith("U0") else SCALE_FACTOR
+                coefficient_goals({name: (asked := quantity("--until", size, unit))})
+                sizes[combined][name] = asked
+        except (Refused, CalibrationError) as mistake:
+            mistakes.append(str(mistake) if "--until" in str(mistake) else f"--until {text}: {mistake}")
+    if mistakes:
+        raise Refused("\n".join(mistakes))
+    for combined, asked_of in sizes.items():
+        wanted += [Wanted(goal, combined) for goal in coefficient_goals(asked_of)]
+    if not wanted and limit_s is None:
+        raise Refused(f"--until: say what is to be reached, such as {EXAMPLE}")
+    if not wanted:
+        return Aim((Wanted(vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
+    whole = Wanted(whole_goal(stand.block, [one.goal for one in wanted]))
+    return Aim((*wanted, whole), limit_s)
+
+
+def _positive(text: str, size: float) -> float:
+    if not size > 0:
+        raise Refused(f"--until {text}: a time is positive")
+    return size
+
+
+def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined: bool) -> list[Wanted]:
+    if name == "delta-g" and combined:
+        raise Refused(
+            "--until combined:delta-g: of Δg only what the readings show is chosen by, for gain and zero of the "
+            "meters act on calibration and check alike; say delta-g, and let 'bench verify' state the whole"
+        )
+    goals: list[Goal] = []
+    match name:
+        case "delta-g":
+            goals = delta_g_of(stand, asked, "--until delta-g")
+        case "vector":
+            goals = [replace(vector_goal(stand.block, 1.0, asked), asked=_asked(asked))]
+        case _:
+            goals = modulus_goals(stand.block, bench.unit_under_test.range, asked)
+    return [Wanted(goal, combined) for goal in goals]
+
+
+def _asked(size: float) -> float:
+    if not size > 0:
+        raise Refused(f"--until vector={size:g}: the uncertainty asked for is a positive number")
+    return size
+
+
+def chooser_of(plan: Plan, bench: BenchFile, texts: Sequence[str]) -> Chooser:
+    """Return what chooses for these goals. Raises `Refused`: also for a goal that no reading can reach."""
+    sizes = {name: d.u for name, d in bench.stand_distributions().items()}
+    model = ForwardModel(bench.installation_models())
+    try:
+        stand = Stand(model, bench.simulated_block(), sizes)
+        aim = stated_aim(texts, stand, bench)
+        pool = pool_of(plan, bench.line_frequency)
+        hidden = [] if not any(w.combined for w in aim.wanted) else _hidden(bench, model)
+        _refuse_below_floor(floors(aim, stand, pool, hidden))
+        _refuse_too_short(aim, pool)
+        return Chooser(pool, with_hidden(aim, stand, pool, hidden), stand)
+    except CalibrationError as reason:
+        raise Refused(f"--until {', '.join(texts)}: {reason}") from None
+
+
+def _hidden(bench: BenchFile, model: ForwardModel) -> list[Any]:
+    """What is in the combined uncertainty beside what readings show; coefficients are per local g."""
+    assumed = assumed_stand(bench)
+    own = [source for source in stand_sources(bench) if source.name in assumed]
+    return [*own, *(source for source in hidden_sources(bench, model) if source.name != "gravity")]
+
+
+def _refuse_below_floor(found: Sequence[Floor]) -> None:
+    """Raise `Refused` for goals that no number of readings reaches, with the floor and what makes it."""
+    if not found:
+        return
+    worst = max(found, key=lambda floor: floor.u / floor.wanted.goal.asked)
+    unit = worst.wanted.goal.unit
+    parts = ", ".join(
+        f"{name.replace('_', ' ')} {size_in_words(u, unit)}" for name, u in worst.parts[:_PARTS_TOLD]
+    )
+    others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
+    raise Refused(
+        f"--until: no number of readings at these points brings the {worst.wanted.name} below "
+        f"{size_in_words(worst.u, unit)}, and {size_in_words(worst.wanted.goal.asked, unit)} is asked for; "
+        f"what makes it: {parts}"
+        + (f"; nor the {', '.join(others)}" if others else "")
+        + "; ask for less, or better these"
+    )
+
+
+def _refuse_too_short(aim: Aim, pool: Pool) -> None:
+    if aim.limit_s is not None and aim.limit_s <= pool.always_s + sum(v.time_s for v in pool.visits[:1]):
+        raise Refused(
+            f"--until time: {aim.limit_s / 3600:.3g} h are too short: warm-up, verification points and one "
+            f"mounting take {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
+        )
+
+
+# --- what is chosen ---------------------------------------------------------------------------------
+
+
+class Until:
+    """Chooses on the way, by the record alone: a run that was killed and taken up again chooses the same."""
+
+    def __init__(self, run: Run, bench: BenchFile) -> None:
+        self._run = run
+        self._chooser = chooser_of(run.plan, bench, run.manifest.get("until", []))
+        self._point_of = {point.reads[0]: point for point in self._chooser.pool.points}
+
+    def __call__(self, index: int, progress: Progress) -> dict[str, Any] | None:
+        """Return what is chosen at a step, None where there is nothing to choose."""
+        pool = self._chooser.pool
+        last = progress.chosen[-1] if progress.chosen else None
+        refused = frozenset(v.mount for v in pool.visits if v.mount_step in progress.skipped)
+        comes, needless = pool.visits[0].first, frozenset[int]()
+        if last is not None:
+            if last["stop"]:
+                return None
+            visit = pool.visits[int(last["visit"])]
+            comes = int(last["next"]["last"]) + 1
+            if visit.mount in refused:
+                own = {step for point in visit.points for step in point.steps} | set(visit.steps)
+                needless = frozenset(own - progress.left_out - progress.done)
+        if index < comes and not needless:
+            return None
+        visited = -1 if last is None else int(last["visit"])
+        choice = self._chooser.choose(self._standing(visited, refused, progress))
+        return replace(choice, left_out=choice.left_out | needless).to_json()
+
+    def _standing(self, visit: int, refused: frozenset[Mounting], progress: Progress) -> Standing:
+        """Return what the record on the disk says."""
+        history = Run(self._run.folder).trusted_history()
+        taken = {step: r for step, r in history.readings.items() if step in self._point_of}
+        done: Counter[Site] = Counter()
+        for step, reading in taken.items():
+            site = self._point_of[step].site
+            done[site._replace(mount=Mounting(reading.series, reading.installation))] += 1
+        now = {
+            Mounting(series, label): Mounting(visit_now, label)
+            for (series, label), visit_now in progress.remounts.items()
+        }
+        skipped = {p.site for p in self._chooser.pool.points if p.steps[0] in progress.skipped}
+        standing = Standing(
+            visit,
+            frozenset(self._point_of[step].steps[0] for step in taken),
+            done,
+            max((reading.time_s or 0.0 for reading in taken.values()), default=0.0),
+            refused=frozenset(s._replace(mount=now.get(s.mount, s.mount)) for s in skipped),
+            refused_mounts=refused,
+            now=now,
+        )
+        return self._with_noise(standing, history) if taken else standing
+
+    def _with_noise(self, standing: Standing, history: History) -> Standing:
+        """Add what the readings tell of the noise, and what a calibration from them states."""
+        (source,) = load_sources(Request([str(self._run.folder)], self._run.folder.parent))
+        readings = source.readings.select(source.readings.installation != VERIFICATION)
+        standing = replace(standing, scale=scale_of(self._chooser.stand, readings))
+        try:
+            result = calibration_of(replace(source, readings=readings))
+        except CalibrationError:
+            return standing
+        apart = self._telling_apart(standing) if result.calibration.lack_of_fit.shown else frozenset[Site]()
+        return replace(standing, reached=self._reached(result), apart=apart)
+
+    def _telling_apart(self, standing: Standing) -> frozenset[Site]:
+        """Return the sites of this mounting, not read yet, that tell apart what may explain a misfit."""
+        open_sites = {standing.site_of(p) for p in self._chooser.open_points(standing.visit, standing)}
+        sites = sorted(open_sites - set(standing.done))
+        if not sites:
+            return frozenset()
+        done = [site.setting() for site, count in standing.done.items() for _ in range(count)]
+        best = telling_apart(
+            self._chooser.stand, done, [site.setting() for site in sites], list(CATALOGUE.values())
+        )
+        return frozenset(sites[i] for i in best)
+
+    def _reached(self, result: CalibrationResult) -> tuple[Reached, ...]:
+        own = result.calibration
+        return reached_by(self._chooser.aim, own.covariance_readings, own.covariance)
+
+
+def until_of(run: Run, bench: BenchFile) -> Callable[[int, Progress], dict[str, Any] | None]:
+    """Return what chooses for a run that goes on until it is good enough; for any other nothing is chosen."""
+    return Until(run, bench) if run.manifest.get("until") else lambda index, progress: None
+
+
+def is_short(run: Run) -> bool:
+    """Whether a run ended without what it was to reach."""
+    try:
+        chosen = run.history.progress.chosen
+    except RecordError:
+        return False
+    return (
+        bool(chosen)
+        and chosen[-1]["stop"] not in ("", REACHED)
+        and bool((chosen[-1]["now"] or {}).get("asked"))
+    )
+
+
+# --- before the run ---------------------------------------------------------------------------------
+
+
+def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
+    """Keep the goals in the manifest; return how long a run for them will take, as a sentence. Raises `Refused`."""
+    if not texts:
+        return ()
+    manifest["until"] = [*texts]
+    return (outlook_in_words(outlook_until(plan, bench, texts)),)
+
+
+def outlook_until(plan: Plan, bench: BenchFile, texts: Sequence[str]) -> TimeOutlook:
+    """Return how long a run for these goals will take at the noise that the bench file states."""
+    return time_outlook(chooser_of(plan, bench, texts))
+
+
+def outlook_in_words(found: TimeOutlook) -> str:
+    """Say how long a run will take, and with how many settings: the median, and what 90 % of runs lie between."""
+    low_s, mid_s, high_s = found.quantiles(found.time_s)
+    low, mid, high = (round(n) for n in found.quantiles(found.settings))
+    reached = float(np.mean(found.reached))
+    words = (
+        f"at the noise that the bench file states: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
+        f"{duration(high_s)}) and {mid} settings ({low} to {high}), of the procedure's "
+        f"{duration(found.whole_s)} and {found.whole}"
+    )
+    if found.has_goal and reached < _NEARLY_ALL:
+        words += f"; reached in {100 * reached:.0f} % of runs, for then the procedure has no more points"
+    return words

@@ -1,0 +1,105 @@
+"""What a batch is asked to do with each run: a value that can be compared, kept and sent to another process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from bench.analysis.calibration.estimators import GLS, find_estimator
+from bench.api.errors import Refused
+from bench.api.provenance import versions
+from bench.api.source import Request, check_gravity
+from bench.api.verification import Asked
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench
+from bench.run.manifest import sha256
+
+CALIBRATE: Final = "calibrate"
+DIAGNOSE: Final = "diagnose"
+REPORT: Final = "report"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One command with its options, for any number of runs; files are named by absolute paths.
+
+    `command` is calibrate, diagnose or report; `pages` is the folder of the pages that report writes. All else is
+    as the options of these commands have it.
+    """
+
+    command: str
+    estimator: str = GLS
+    nominal_angles: bool = False
+    join_free: bool = True
+    join_verification: bool = False
+    bench: str | None = None
+    model: str | None = None
+    g_m_s2: float | None = None
+    skip_bad_rows: bool = False
+    limit_g: float | None = None
+    rule: str | None = None
+    guard_band: float | None = None
+    population: tuple[float, float] | None = None
+    effects: tuple[str, ...] = ()
+    pages: str = ""
+
+    def request(self, run: str) -> Request:
+        """Return what an analysis of a run is made from."""
+        model = None if self.model is None else Path(self.model)
+        return Request([run], Path(run).parent, self.bench, model, self.g_m_s2, None, self.skip_bad_rows)
+
+    def asked(self) -> Asked:
+        """Return how verdicts are to be found in place of what each run says."""
+        return Asked(self.limit_g, self.rule, self.guard_band, self.population)
+
+    def checked(self) -> Job:
+        """Return it with paths that hold anywhere. Raises as the commands do for what no run could be asked."""
+        estimator = find_estimator(self.estimator).name
+        check_gravity(self.g_m_s2)
+        self.asked().check()
+        bench = self.bench
+        if bench is not None:
+            load_bench(find_bench(bench))
+            bench = str(find_bench(bench).absolute())
+        if self.model is not None and not Path(self.model).is_file():
+            raise Refused(f"--model {self.model}: there is no such file")
+        model = None if self.model is None else str(Path(self.model).absolute())
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        effects = tuple(str(Path(file).absolute()) for file in self.effects)
+        return Job(**{**given, "estimator": estimator, "bench": bench, "model": model, "effects": effects})
+
+    def differing(self) -> dict[str, Any]:
+        """Return the options that are not as they are when nothing is said."""
+        usual = Job(self.command, pages=self.pages).to_json()
+        return {name: value for name, value in self.to_json().items() if value != usual[name]}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what was asked for, with the SHA-256 of each file: as the batch keeps and compares it."""
+        given: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        given["population"] = None if self.population is None else list(self.population)
+        given["effects"] = [_named(file) for file in self.effects]
+        return given | {name: _named(given[name]) for name in ("bench", "model") if given[name]}
+
+
+def _named(file: str) -> dict[str, str]:
+    return {"file": file, "sha256": sha256(Path(file).read_bytes())}
+
+
+@cache
+def program() -> Mapping[str, str]:
+    """Return by which program results are made: versions, and the SHA-256 of its own code.
+
+    A checkout changes under the same version; the code tells.
+    """
+    package = Path(__file__).parents[1]
+    files = sorted(package.rglob("*.py"))
+    told = "".join(f"{file.relative_to(package).as_posix()} {sha256(file.read_bytes())}\n" for file in files)
+    known = versions()
+    return {
+        "version": known["triaxial-bench"],
+        **{name: known[name] for name in ("python", "numpy", "scipy")},
+        "code": sha256(told.encode())[:16],
+    }

@@ -1,0 +1,321 @@
+"""Run folders taken into the catalogue: what is new or changed is read, what is gone is marked.
+
+The folders stay the truth: a catalogue that is deleted is made again from them. Folders are read by processes of
+their own; rows are written in batches, each there whole or not at all, so that a sync that is ended goes on where
+it was with the next, and two at once lose nothing. A row's key is drawn from what it stands for: a folder that was
+moved or renamed brings the same run, a copy beside it is told and counts once.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from sqlalchemy import delete, select, update
+
+from bench.api.errors import Refused
+from bench.base.progress import tracked
+from bench.base.visible import visible
+from bench.catalogue.folder import Found, read_folder
+from bench.catalogue.instruments import Row
+from bench.catalogue.issued import issued_in
+from bench.catalogue.scan import Seen, scan
+from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS
+from bench.catalogue.store import Catalogue
+from bench.run.manifest import MANIFEST
+
+if TYPE_CHECKING:
+    from sqlalchemy import Connection, Table
+
+_T = TypeVar("_T")
+
+BATCH: Final = 1000
+"""Folders that are written at once."""
+CHUNK: Final = 50
+"""Folders that a process is given at once."""
+FEW: Final = 40
+"""So few folders are read in this process: starting others takes longer."""
+_COPY, _COUNTED = "a copy of ", ": counted once"
+MOST_IN: Final = 5000
+"""Keys in one condition; SQLite takes 32,766, PostgreSQL 65,535."""
+
+
+@dataclass
+class Synced:
+    """What a sync did, in folders: `added` runs, `changed`, `unchanged`, `moved`, `vanished`; and what is wrong.
+
+    `problems` are folders that hold no run of the catalogue, and runs that cannot be believed, with the reason.
+    """
+
+    added: int = 0
+    changed: int = 0
+    unchanged: int = 0
+    moved: int = 0
+    vanished: int = 0
+    problems: dict[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as `bench catalogue sync --json` writes it."""
+        counts = {
+            name: getattr(self, name) for name in ("added", "changed", "unchanged", "moved", "vanished")
+        }
+        return {**counts, "problems": [{"path": p, "reason": r} for p, r in sorted(self.problems.items())]}
+
+
+def sync(
+    catalogue: Catalogue, folders: Sequence[str | Path], *, whole: bool = False, processes: int | None = None
+) -> Synced:
+    """Take the run folders below `folders` into a catalogue, at any depth; return what was done.
+
+    `whole` reads every event of every record, of those that were not read so before; `processes` read folders, as
+    many as there are cores unless stated. Raises `Refused` where a folder cannot be read, or the database fails.
+    """
+    roots = _roots(folders)
+    seen = _seen(roots)
+    done = Synced()
+    with catalogue.reading() as connection:
+        known = _known(connection, roots)
+        proved = _proved(connection) if whole else None
+    waiting, back = [], []
+    for path, mark in sorted(seen.runs.items()):
+        row = known.get(path)
+        if row is None or not mark or row["fingerprint"] != mark or _orphaned(row) or _unproved(row, proved):
+            waiting.append((path, mark))
+            continue
+        done.unchanged += 1
+        if row["reason"]:
+            done.problems[path] = row["reason"]
+        if row["vanished"]:
+            back.append(row)
+    count = os.cpu_count() or 1 if processes is None else processes
+    for batch in _batches(_read(waiting, whole, count), BATCH):
+        with catalogue.writing() as connection:
+            _write(connection, batch, known, done)
+    gone = [row for path, row in known.items() if path not in seen.runs and not Path(path, MANIFEST).exists()]
+    with catalogue.writing() as connection:
+        _put_back(connection, back)
+        _mark_odd(connection, seen.odd, done)
+        _write_registers(connection, seen.registers, done)
+        done.vanished = _mark_vanished(connection, gone)
+    return done
+
+
+def _orphaned(row: Row) -> bool:
+    """Whether a folder was a copy of one that is gone."""
+    reason = row["reason"] or ""
+    original = reason.removeprefix(_COPY).removesuffix(_COUNTED)
+    return reason.startswith(_COPY) and not Path(original, MANIFEST).exists()
+
+
+def _unproved(row: Row, proved: set[int] | None) -> bool:
+    return proved is not None and row["run"] is not None and row["run"] not in proved
+
+
+def _roots(folders: Sequence[str | Path]) -> list[str]:
+    roots = [os.path.abspath(folder) for folder in folders]  # noqa: PTH100 - links stay as they are named
+    missing = [root for root in roots if not Path(root).is_dir()]
+    if missing:
+        raise Refused(
+            "\n".join(f"{root}: no such folder; nothing of it was marked as gone" for root in missing)
+        )
+    return roots
+
+
+def _seen(roots: Sequence[str]) -> Seen:
+    runs: dict[str, str] = {}
+    odd: dict[str, str] = {}
+    registers: list[str] = []
+    now_ns = time.time_ns()
+    for root in tracked(roots, "looking for runs"):
+        try:
+            found = scan(root, now_ns)
+        except OSError as error:
+            raise Refused(f"{root}: cannot be read ({error.strerror})") from error
+        runs |= found.runs
+        odd |= found.odd
+        registers += found.registers
+    for path in [path for path in runs if not _is_text(path)]:
+        odd[visible(path)] = "its name is not UTF-8: rename it"
+        del runs[path]
+    return Seen(runs, {visible(path): why for path, why in odd.items()}, tuple(registers))
+
+
+def _is_text(path: str) -> bool:
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _known(connection: Connection, roots: Sequence[str]) -> dict[str, Row]:
+    """Return what the catalogue has of the folders below `roots`, by path."""
+    heads = tuple(root.rstrip(os.sep) + os.sep for root in roots)
+    rows = connection.execute(select(FOLDERS)).mappings()
+    return {r["path"]: dict(r) for r in rows if r["path"].startswith(heads) or r["path"] in roots}
+
+
+def _proved(connection: Connection) -> set[int]:
+    """Return the runs of which every event was read."""
+    return set(connection.execute(select(RUNS.c.id).where(RUNS.c.record == "read")).scalars())
+
+
+def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterator[Found]:
+    """Yield what stands in folders, in their order; few are read here, many by processes."""
+    if len(waiting) <= FEW or processes < 2:
+        for path, mark in tracked(waiting, "reading runs"):
+            yield read_folder(path, mark, whole=whole)
+        return
+    chunks = _batches(waiting, CHUNK)
+    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        running: deque[Future[list[Found]]] = deque(
+            pool.submit(_read_chunk, chunk, whole) for chunk in islice(chunks, 4 * processes)
+        )
+        for _ in tracked(range(-(-len(waiting) // CHUNK)), "reading runs"):
+            found = running.popleft().result()
+            running.extend(pool.submit(_read_chunk, chunk, whole) for chunk in islice(chunks, 1))
+            yield from found
+    except BrokenProcessPool as error:
+        raise Refused(
+            "a process that read run folders was ended; sync again: it goes on where it was"
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _read_chunk(chunk: list[tuple[str, str]], whole: bool) -> list[Found]:
+    return [read_folder(path, mark, whole=whole) for path, mark in chunk]
+
+
+def _batches(parts: Iterable[_T], size: int) -> Iterator[list[_T]]:
+    rest = iter(parts)
+    while batch := list(islice(rest, size)):
+        yield batch
+
+
+def _write(connection: Connection, batch: list[Found], known: dict[str, Row], done: Synced) -> None:
+    """Write what was found in a batch of folders."""
+    places = _places(connection, [found.run for found in batch if found.run is not None])
+    rows: dict[str, list[Row]] = {table.name: [] for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN)}
+    folders, left, runs = [], [], []
+    for found in batch:
+        before = known.get(found.path)
+        reason = found.reason
+        if found.run is not None:
+            reason = found.rows["runs"][0]["problem"] or ""
+            elsewhere = places.get(found.run, found.path)
+            here = elsewhere == found.path or not Path(elsewhere, MANIFEST).exists()
+            if here:
+                if elsewhere != found.path:
+                    left.append(elsewhere)
+                    done.moved += 1
+                elif before is None and found.run not in places:
+                    done.added += 1
+                else:
+                    done.changed += 1
+                places[found.run] = found.path
+                runs.append(found.run)
+                for name, own in found.rows.items():
+                    rows[name] += own
+            else:
+                reason = f"{_COPY}{elsewhere}{_COUNTED}"
+        if reason:
+            done.problems[found.path] = reason
+        folders.append(
+            {
+                "path": found.path,
+                "fingerprint": found.fingerprint,
+                "run": found.run,
+                "reason": reason or None,
+                "vanished": False,
+            }
+        )
+    for table in OF_A_RUN:
+        _delete(connection, table, table.c.run, runs)
+    _delete(connection, FOLDERS, FOLDERS.c.path, left)
+    for path in left:
+        known.pop(path, None)
+    for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN):
+        _upsert(connection, table, rows[table.name])
+    _upsert(connection, FOLDERS, folders)
+
+
+def _places(connection: Connection, runs: list[int]) -> dict[int, str]:
+    """Return where runs are, by the catalogue."""
+    found: dict[int, str] = {}
+    for some in _batches(runs, MOST_IN):
+        rows = connection.execute(select(RUNS.c.id, RUNS.c.path).where(RUNS.c.id.in_(some)))
+        found |= {run: path for run, path in rows}  # noqa: C416 - a result is no mapping
+    return found
+
+
+def _delete(connection: Connection, table: Table, column: Any, keys: list[Any]) -> None:
+    for some in _batches(keys, MOST_IN):
+        connection.execute(delete(table).where(column.in_(some)))
+
+
+def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
+    """Write rows over those of the same keys; of several rows of one key the last counts."""
+    if not rows:
+        return
+    if connection.dialect.name == "sqlite":
+        from sqlalchemy.dialects.sqlite import insert
+    else:
+        from sqlalchemy.dialects.postgresql import insert  # type: ignore[assignment]
+    keys = [column.name for column in table.primary_key]
+    by_key = {tuple(row[key] for key in keys): row for row in rows}
+    statement = insert(table)
+    others = {c.name: statement.excluded[c.name] for c in table.columns if c.name not in keys}
+    written = statement.on_conflict_do_update(index_elements=keys, set_=others)
+    connection.execute(written, [by_key[key] for key in sorted(by_key)])
+
+
+def _put_back(connection: Connection, rows: list[Row]) -> None:
+    """Mark folders, and their runs, as there again."""
+    for row in rows:
+        connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=False))
+        connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=False))
+
+
+def _mark_odd(connection: Connection, odd: dict[str, str], done: Synced) -> None:
+    done.problems |= odd
+    rows = [
+        {"path": path, "fingerprint": "", "run": None, "reason": why, "vanished": False}
+        for path, why in odd.items()
+    ]
+    _upsert(connection, FOLDERS, rows)
+
+
+def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:
+    """Write what registers hold anew; one that cannot be believed is told, and what was known of it stays."""
+    for folder in registers:
+        try:
+            rows = issued_in(folder)
+        except Refused as error:
+            done.problems[folder] = str(error)
+            continue
+        connection.execute(delete(ISSUED).where(ISSUED.c.register == folder))
+        _upsert(connection, ISSUED, rows)
+
+
+def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
+    """Mark runs whose folder is gone, or take them from a copy; forget folders that held none. Return how many."""
+    count = 0
+    for row in rows:
+        if row["run"] is None or (row["reason"] or "").startswith(_COPY):
+            connection.execute(delete(FOLDERS).where(FOLDERS.c.path == row["path"]))
+        elif not row["vanished"]:
+            connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=True))
+            connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=True))
+            count += 1
+    return count

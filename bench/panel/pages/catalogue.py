@@ -1,0 +1,97 @@
+"""The catalogue, where the panel is given one: a search among units, and a unit's page. Nothing is written."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+from urllib.parse import quote
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+
+from bench.panel.access.acting import looking, panel_of
+from bench.panel.access.people import Refusal
+from bench.panel.pages.shown import page
+
+if TYPE_CHECKING:
+    from bench.catalogue.answers import Answer
+    from bench.catalogue.unit import UnitHistory
+
+LONGEST: Final = 300
+ON_A_PAGE: Final = 100
+
+
+async def units(request: Request) -> Response:
+    """Show the units of the runs that a question names."""
+    looking(request)
+    asked = request.query_params.get("ask", "")[:LONGEST]
+    found = await run_in_threadpool(_units, _where(request), asked)
+    rows = [
+        {"address": f"/catalogue/unit/{quote(row[0], safe='')}", **dict(zip(found.columns, row, strict=True))}
+        for row in found.rows[:ON_A_PAGE]
+        if row[0] is not None
+    ]
+    return page(request, "catalogue.html.j2", asked=asked, rows=rows, found=len(found), most=ON_A_PAGE)
+
+
+async def unit(request: Request) -> Response:
+    """Show a unit: its coefficients over time, its runs, when it is due."""
+    looking(request)
+    name = request.path_params["unit"][:LONGEST]
+    history = await run_in_threadpool(_history, _where(request), name)
+    from bench.report.unit import coefficient_rows
+
+    told = history.to_json()
+    return page(
+        request,
+        "unit.html.j2",
+        history=told,
+        rows=coefficient_rows(told["calibrations"]),
+        figure=f"/catalogue/figure/{quote(history.unit, safe='')}" if told["calibrations"] else "",
+        runs=list(reversed(told["runs"]))[:ON_A_PAGE],
+    )
+
+
+async def figure(request: Request) -> Response:
+    """Send the figure of a unit, as a file that stands alone."""
+    looking(request)
+    name = request.path_params["unit"][:LONGEST]
+    drawn = await run_in_threadpool(_figure, _where(request), name)
+    return Response(drawn, media_type="image/svg+xml", headers={"cache-control": "no-store"})
+
+
+def _where(request: Request) -> str:
+    """Return which catalogue the panel shows. Raises `Refusal` where it has none."""
+    where = panel_of(request).settings.catalogue
+    if not where:
+        raise Refusal(404, "this panel shows no catalogue: it is begun with --catalogue")
+    return where
+
+
+def _units(where: str, asked: str) -> Answer:
+    from bench.catalogue.answers import answer
+    from bench.catalogue.store import open_catalogue
+
+    # what is typed without a key is looked for among the units
+    words = [
+        word if "=" in word or "<" in word or ">" in word else f"unit=*{word}*" for word in asked.split()
+    ]
+    with open_catalogue(where, existing=True) as catalogue:
+        return answer(catalogue, words, "units")
+
+
+def _history(where: str, unit: str) -> UnitHistory:
+    from bench.catalogue.store import open_catalogue
+    from bench.catalogue.unit import unit_history
+
+    with open_catalogue(where, existing=True) as catalogue:
+        return unit_history(catalogue, unit)
+
+
+def _figure(where: str, unit: str) -> str:
+    from bench.report.unit import unit_file
+
+    calibrations = _history(where, unit).to_json()["calibrations"]
+    if not calibrations:
+        raise Refusal(404, f"{unit}: no calibration to draw")
+    return unit_file(calibrations)

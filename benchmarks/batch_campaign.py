@@ -1,0 +1,282 @@
+"""A batch over many run folders: how busy its processes are, what memory they take, and what 50 kills cost.
+
+    python -m benchmarks.many_folders 10000 /var/tmp/laboratory --seed 1
+    python -m benchmarks.batch_campaign busy '/var/tmp/laboratory/*' --count 10000
+    python -m benchmarks.batch_campaign kills '/var/tmp/laboratory/*' --count 600 --kills 50 --seed 1
+
+`busy` carries one batch out and looks at its processes every second (/proc, so on Linux alone). Beside other
+programs a process that has work waits for a core, too; so it tells two shares of the processes' life after their
+first row: in which they computed (CPU), and in which they computed or stood in the queue for a core (from
+`schedstat`). Where nothing else works on the machine both are the share of the cores that is used. The rest they
+waited for the program that gives the work, or for the disk. Memory is the resident set of the program and the
+largest of a process, by tenths of the runs.
+
+`kills` ends processes at random moments (SIGKILL): the program itself, a process that computes, or the one of
+which these are copies. The program is begun again with the same command. At the end every run must be in the
+result once and in one part alone, no part may have been written again, and the rows of a sample must be, number
+by number, those that a single calibration gives. Exit status 1 where that is not so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pyarrow import parquet
+
+from bench.batch.job import CALIBRATE, Job
+from bench.batch.listing import list_runs
+from bench.batch.work import worked
+from bench.model.block import COEFFICIENTS
+
+_SAMPLE: Final = 20
+_TICKS: Final = os.sysconf("SC_CLK_TCK")
+
+
+@dataclass
+class Seen:
+    """What was seen of a process: times (s) of the first and the last look, CPU and queue (s) at both, memory."""
+
+    first: tuple[float, float, float]
+    last: tuple[float, float, float]
+    most_kb: int = 0
+
+
+@dataclass
+class Watch:
+    """The processes of one batch, looked at from time to time."""
+
+    program: int
+    workers: dict[int, Seen] = field(default_factory=dict)
+    memory: list[tuple[int, int, int]] = field(default_factory=list)
+
+    def look(self, done: int) -> None:
+        """Note times and memory of all that live."""
+        largest = 0
+        for pid in workers_of(self.program):
+            found = times_of(pid)
+            if found is None:
+                continue
+            cpu, queued, kb = found
+            now = (time.monotonic(), cpu, queued)
+            one = self.workers.setdefault(pid, Seen(now, now))
+            one.last, one.most_kb = now, max(one.most_kb, kb)
+            largest = max(largest, kb)
+        mine = times_of(self.program)
+        if not largest:
+            return  # all have ended: what is left is the making of the tables
+        self.memory.append((done, 0 if mine is None else mine[2], largest))
+
+    def shares(self) -> tuple[float, float]:
+        """Return the share of their life in which the processes computed, and computed or waited for a core."""
+        life = sum(one.last[0] - one.first[0] for one in self.workers.values())
+        cpu = sum(one.last[1] - one.first[1] for one in self.workers.values())
+        queued = sum(one.last[2] - one.first[2] for one in self.workers.values())
+        return cpu / life, (cpu + queued) / life
+
+
+def children_of(pid: int) -> list[int]:
+    try:
+        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def below(pid: int) -> Iterator[int]:
+    for child in children_of(pid):
+        yield child
+        yield from below(child)
+
+
+def workers_of(program: int) -> list[int]:
+    """Return the processes that compute: those that the one in between has begun."""
+    return [pid for child in children_of(program) for pid in children_of(child)]
+
+
+def times_of(pid: int) -> tuple[float, float, int] | None:
+    """Return CPU (s), time in the queue for a core (s) of all threads, and resident memory (kB); None if gone."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        queued = sum(
+            int(task.joinpath("schedstat").read_text().split()[1])
+            for task in Path(f"/proc/{pid}/task").iterdir()
+        )
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return None
+    kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
+    return (int(stat[11]) + int(stat[12])) / _TICKS, queued / 1e9, kb
+
+
+def begin(over: str, runs: list[str], out: Path, options: argparse.Namespace) -> subprocess.Popen[bytes]:
+    """Begin the command, over a folder of links to the runs."""
+    command = [sys.executable, "-c", "from bench.cli.program import main; main()", "batch", "calibrate"]
+    more = [] if options.workers is None else ["--workers", str(options.workers)]
+    log = (out.parent / "log.txt").open("ab")
+    return subprocess.Popen(  # noqa: S603 - our own program
+        [*command, "--over", over, "--out", str(out), *more, "--estimator", options.estimator],
+        stdout=log, stderr=log,
+    )  # fmt: skip
+
+
+def rows_done(out: Path) -> int:
+    return sum(parquet.read_metadata(part).num_rows for part in (out / "parts").glob("part-*.parquet"))
+
+
+def chosen(options: argparse.Namespace, folder: Path) -> tuple[str, list[str]]:
+    """Return the pattern of a folder with links to the runs that are taken, and their paths."""
+    found = list_runs([options.over], Path("runs")).runs[: options.count]
+    place = folder / "runs"
+    place.mkdir()
+    for number, run in enumerate(found):
+        (place / f"{number:06}").symlink_to(run)
+    return str(place / "*"), list(found)
+
+
+# --- busy -------------------------------------------------------------------------------------------
+
+
+def busy(options: argparse.Namespace, folder: Path) -> int:
+    over, runs = chosen(options, folder)
+    out = folder / "out"
+    began = time.monotonic()
+    program = begin(over, runs, out, options)
+    watch, first_row = Watch(program.pid), 0.0
+    while program.poll() is None:
+        time.sleep(1.0)
+        done = rows_done(out) if (out / "parts").is_dir() else 0
+        if done:
+            first_row = first_row or time.monotonic()
+            watch.look(done)
+    lasted = time.monotonic() - began
+    computed, wanted = watch.shares()
+    print(f"{len(runs)} runs in {lasted:.0f} s, {lasted - (first_row - began):.0f} s after the first part")
+    print(f"processes that computed, one after another: {len(watch.workers)}")
+    print(f"share of their time: computing {computed:.1%}, computing or waiting for a core {wanted:.1%}")
+    print("runs done   program, MB   largest process, MB")
+    for tenth in range(1, 11):
+        at = min(watch.memory, key=lambda one: abs(one[0] - tenth * len(runs) / 10))
+        print(f"{at[0]:9}   {at[1] / 1024:11.0f}   {at[2] / 1024:19.0f}")
+    wrong = checked(out, runs, random.Random(options.seed))  # noqa: S311 - to be repeated
+    print(*wrong, sep="\n", end="\n" if wrong else "")
+    return 1 if wrong else 0
+
+
+# --- kills ------------------------------------------------------------------------------------------
+
+
+def kills(options: argparse.Namespace, folder: Path) -> int:
+    chance = random.Random(options.seed)  # noqa: S311 - to be repeated
+    over, runs = chosen(options, folder)
+    out = folder / "out"
+    killed: Counter[str] = Counter()
+    parts: dict[str, str] = {}
+    wrong: list[str] = []
+    program = begin(over, runs, out, options)
+    while program.poll() is None or program.returncode not in {0, 1}:
+        if program.poll() is not None:
+            wrong += [] if program.returncode == -signal.SIGKILL else [f"it ended with {program.returncode}"]
+            if len(wrong) > options.kills:
+                break
+            program = begin(over, runs, out, options)
+        if sum(killed.values()) < options.kills and not workers_of(program.pid):
+            time.sleep(0.2)  # it is only beginning
+        elif sum(killed.values()) < options.kills:
+            time.sleep(chance.uniform(0.0, options.every))
+            killed.update(kill_one(program, chance))
+        else:
+            time.sleep(1.0)
+        wrong += written_again(out, parts)
+    print(f"kills: {', '.join(f'{count} of {what}' for what, count in sorted(killed.items()))}")
+    print(f"{len(runs)} runs, {len(parts)} parts")
+    wrong += checked(out, runs, chance)
+    print(*wrong[:20], sep="\n", end="\n" if wrong else "")
+    print(f"{len(wrong)} faults")
+    return 1 if wrong else 0
+
+
+def kill_one(program: subprocess.Popen[bytes], chance: random.Random) -> list[str]:
+    """Kill the program, a process that computes, or the one between, where it lives."""
+    what = chance.choices(["the program", "a process", "the one of which they are copies"], [3, 6, 1])[0]
+    pids = {
+        "the program": [program.pid] if program.poll() is None else [],
+        "a process": workers_of(program.pid),
+        "the one of which they are copies": [
+            child for child in children_of(program.pid) if children_of(child)
+        ],
+    }[what]
+    if not pids:
+        return []
+    try:
+        os.kill(chance.choice(pids), signal.SIGKILL)
+    except ProcessLookupError:
+        return []
+    if what == "the program":
+        program.wait()
+    return [what]
+
+
+def written_again(out: Path, parts: dict[str, str]) -> Iterator[str]:
+    """Note the parts that are new; yield a sentence for each that is not as it was."""
+    for part in (out / "parts").glob("part-*.parquet"):
+        mark = sha256(part.read_bytes()).hexdigest()
+        if parts.setdefault(part.name, mark) != mark:
+            yield f"{part.name} was written again"
+
+
+# --- what must hold ---------------------------------------------------------------------------------
+
+
+def checked(out: Path, runs: list[str], chance: random.Random) -> list[str]:
+    """Return what is wrong with a result: runs that are lost or repeated, numbers that are others."""
+    table = parquet.read_table(out / "changes.parquet")
+    counted = Counter(table["run"].to_pylist())
+    in_parts: Counter[str] = Counter()
+    for part in (out / "parts").glob("part-*.parquet"):
+        in_parts.update(parquet.read_table(part, columns=["run"])["run"].to_pylist())
+    wrong = [f"{run}: {counted[run]} times in the result" for run in runs if counted[run] != 1]
+    wrong += [f"{run}: in {in_parts[run]} parts" for run in runs if in_parts[run] != 1]
+    wrong += [f"{run}: nobody asked for it" for run in counted.keys() - set(runs)]
+    rows = {row["run"]: row for row in table.to_pylist()}
+    for run in chance.sample(runs, min(_SAMPLE, len(runs))):
+        row = worked(Job(CALIBRATE, estimator=rows[run]["estimator"] or "gls"), run)
+        differ = [
+            name for name in COEFFICIENTS
+            if not np.array_equal([rows[run][name], rows[run][f"u_{name}"]], [row[name], row[f"u_{name}"]])
+        ]  # fmt: skip
+        wrong += [f"{run}: {name} is another number" for name in differ]
+    return wrong
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=["busy", "kills"])
+    parser.add_argument("over", help="runs: a pattern, or a folder of runs")
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--every", type=float, default=20.0, help="longest time between two kills, s")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int)
+    parser.add_argument("--estimator", default="gls")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        sys.exit({"busy": busy, "kills": kills}[options.what](options, Path(name)))
+
+
+if __name__ == "__main__":
+    main()

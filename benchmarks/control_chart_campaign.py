@@ -1,0 +1,249 @@
+"""Control charts held to their promises: false rejections per run, and mean run lengths against published ones.
+
+    python -m benchmarks.control_chart_campaign --runs 1000000 --seed 1
+
+`--runs` are chart points of each row of the tables (a tenth in the second). Prints three tables, or one: false
+rejections of a chart whose baseline has few runs, for each kind of limits and for stated u that is right or not;
+what happens where stated u is wrong for one coefficient alone; mean run lengths of Shewhart, EWMA and MEWMA charts
+beside the published ones, by simulation and by the integral equation.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.control_charts.components import ALIKE_P, components_of, short_term
+from bench.analysis.control_charts.design import Design
+from bench.analysis.control_charts.run_length import ewma_arl, mewma_arl, shewhart_arl
+from bench.analysis.control_charts.statistics import Basis, centre_of, judge
+from bench.base.arrays import Floats
+
+P: Final = 12
+LATER: Final = 25
+"""Runs after each baseline: many baselines count, as what is wrong with one is wrong for all its runs."""
+CHARTS: Final = 200
+READING_DOF: Final = 36.0
+"""Degrees of freedom of the short-term standard deviation of one run of the procedure 'paper'."""
+
+EWMA: Final = {
+    (0.40, 3.054): (500, 224, 71.2, 28.4, 14.3, 5.9, 3.5, 2.5, 2.0, 1.4),
+    (0.25, 2.998): (500, 170, 48.2, 20.1, 11.1, 5.5, 3.6, 2.7, 2.3, 1.7),
+    (0.20, 2.962): (500, 150, 41.8, 18.2, 10.5, 5.5, 3.7, 2.9, 2.4, 1.9),
+    (0.10, 2.814): (500, 106, 31.3, 15.9, 10.3, 6.1, 4.4, 3.4, 2.9, 2.2),
+    (0.05, 2.615): (500, 84.1, 28.8, 16.4, 11.4, 7.1, 5.2, 4.2, 3.5, 2.7),
+}
+SHIFTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
+"""Lucas and Saccucci (1990), table 3, as D. C. Montgomery, Introduction to Statistical Quality Control, has it."""
+SHEWHART: Final = {0.0: 370.4, 0.5: 155.2, 1.0: 43.9, 1.5: 15.0, 2.0: 6.3, 3.0: 2.0}
+MEWMA: Final = {(2, 0.1, 8.64): 200.0, (4, 0.1, 12.73): 200.0, (10, 0.1, 22.67): 200.0}
+"""Prabhu and Runger (1997), as Montgomery has it: dimensions, lambda, limit, in-control ARL."""
+
+
+@dataclass
+class Count:
+    """False rejections in so many points, by chart: points of one chart share their baseline."""
+
+    rejected: list[Floats]
+    points: int = 0
+
+    def add(self, rejected: Floats) -> None:
+        """Add charts (b, n) of which each run was rejected or not."""
+        self.rejected.append(rejected.mean(axis=1))
+        self.points += rejected.size
+
+    @property
+    def rate(self) -> float:
+        """The part that was rejected."""
+        return float(np.concatenate(self.rejected).mean())
+
+    @property
+    def u(self) -> float:
+        """Its standard error, from chart to chart."""
+        every = np.concatenate(self.rejected)
+        return float(every.std(ddof=1) / np.sqrt(len(every)))
+
+
+def stated_covariance(seed: int = 7) -> Floats:
+    """Return a covariance (12, 12) with correlations and sizes that differ ten times, as those of a block do."""
+    rng = np.random.default_rng(seed)
+    mixed = np.eye(P) + 0.4 * rng.normal(size=(P, P))
+    covariance = mixed @ mixed.T
+    size = np.geomspace(1.0, 10.0, P) / np.sqrt(np.diag(covariance))
+    return np.asarray(covariance * np.outer(size, size))
+
+
+def charts(rng: np.random.Generator, runs: int, points: int, root: Floats) -> Iterator[tuple[Floats, Floats]]:
+    """Yield baselines (b, runs, 12) with runs after them (b, LATER, 12), normal of covariance root root'."""
+    left = points
+    while left > 0:
+        count = min(CHARTS, -(-left // LATER))
+        values = rng.normal(size=(count, runs + LATER, P)) @ root.T
+        yield values[:, :runs], values[:, runs:]
+        left -= count * LATER
+
+
+def false_rejections(
+    basis: Basis, runs: int, factor: float, points: int, seed: int, one: float = 1.0
+) -> dict[str, Count]:
+    """Return false rejections of each statistic and of all.
+
+    True u is `factor` times what is stated, and of one coefficient `one` times that.
+    """
+    rng = np.random.default_rng(seed)
+    stated = stated_covariance()
+    scale = np.full(P, factor)
+    scale[4] *= one
+    root = scale[:, None] * np.linalg.cholesky(stated)
+    design = Design(basis=basis)
+    counts: dict[str, Count] = {}
+    every, later = np.tile(stated, (runs, 1, 1)), np.tile(stated, (LATER, 1, 1))
+    for baseline, after in charts(rng, runs, points, root):
+        centre = centre_of(baseline, every, basis)
+        own, smooth = judge(centre, after, later), judge(centre, after, later, design.smoothing)
+        short = short_terms(rng, len(after), runs)
+        by = {
+            "T²": own.p_joint < design.alpha,
+            "EWMA": smooth.p_joint < design.alpha_ewma(P),
+            "s": short < design.alpha,
+        }
+        by["all"] = by["T²"] | by["EWMA"] | by["s"]
+        if one != 1.0:
+            seen = [components_of(k, stated, np.zeros(P)).alike_p < ALIKE_P for k in baseline]
+            by["noticed"] = np.array(seen)[:, None]
+        for name, rejected in by.items():
+            counts.setdefault(name, Count([])).add(np.asarray(rejected, dtype=float))
+    return counts
+
+
+def short_terms(rng: np.random.Generator, count: int, runs: int) -> Floats:
+    """Return probabilities (count, LATER) of short-term standard deviations, by baselines of so many runs."""
+    s = np.sqrt(rng.chisquare(READING_DOF, size=(count, runs + LATER)) / READING_DOF)
+    dof = np.full(runs + LATER, READING_DOF)
+    return np.array([short_term(k[runs:], dof[runs:], k[:runs], dof[:runs]).p for k in s])
+
+
+def nominal() -> dict[str, float]:
+    """Return the rates that are stated for the default design."""
+    design = Design()
+    rates = {"T²": design.alpha, "EWMA": design.alpha_ewma(P), "s": design.alpha}
+    # how often any of the three is beyond its limit, were they independent
+    return rates | {"all": 1.0 - float(np.prod([1.0 - rate for rate in rates.values()]))}
+
+
+def print_rejections(points: int, seed: int) -> None:
+    """Print the first table."""
+    rates = nominal()
+    stated = ", ".join(f"{name} {rate:.3e}" for name, rate in rates.items())
+    print(f"False rejections, {points} runs a row; nominal: {stated}. Ratio to nominal ± standard error:")
+    print("| limits | baseline | true u / stated | T² | EWMA | s | all |\n|---|---|---|---|---|---|---|")
+    rows: list[tuple[Basis, int, float]] = [("stated", runs, 1.0) for runs in (1, 10)]
+    rows += [("scaled", 3, 1.0), ("scaled", 5, 1.5), ("scaled", 10, 0.7), ("scaled", 30, 1.0)]
+    rows += [("scatter", 15, 1.0)]
+    for row, (basis, runs, factor) in enumerate(rows):
+        found = false_rejections(basis, runs, factor, points, seed + row)
+        cells = [
+            f"{found[name].rate / rate:.3f} ± {found[name].u / rate:.3f}" for name, rate in rates.items()
+        ]
+        print(f"| {basis} | {runs} | {factor:g} | {' | '.join(cells)} |", flush=True)
+
+
+def print_wrong(points: int, seed: int) -> None:
+    """Print the second table: one coefficient of twelve scatters more, or less, than stated."""
+    points = max(points // 10, 1000)
+    rates = nominal()
+    print(f"\nOne coefficient with another u than stated, {points} runs a row; ratio of T² to nominal:")
+    print(
+        "| limits | baseline | its u / stated | T² | baselines in which it is noticed |\n|---|---|---|---|---|"
+    )
+    rows: list[tuple[Basis, int]] = [("scaled", 5), ("scaled", 10), ("scaled", 30), ("scatter", 30)]
+    for basis, runs in rows:
+        for one in (0.5, 2.0, 4.0):
+            found = false_rejections(basis, runs, 1.0, points, seed, one)
+            ratio = f"{found['T²'].rate / rates['T²']:.3f} ± {found['T²'].u / rates['T²']:.3f}"
+            print(f"| {basis} | {runs} | {one:g} | {ratio} | {found['noticed'].rate:.3f} |", flush=True)
+
+
+def run_lengths(
+    rng: np.random.Generator, smoothing: float, limit: float, shift: float, count: int, p: int = 1
+) -> Floats:
+    """Return the lengths (count,) of runs of charts with limits at once where they end up, known parameters.
+
+    The statistic is z² of one value, or T² of `p`, of the EWMA; `limit` is what it must not exceed, `shift` that of
+    the first coordinate, in standard deviations.
+    """
+    state = np.zeros((count, p))
+    lengths, alive = np.zeros(count), np.arange(count)
+    variance = smoothing / (2.0 - smoothing)
+    step = 0
+    while len(alive):
+        step += 1
+        value = rng.normal(size=(len(alive), p))
+        value[:, 0] += shift
+        state = smoothing * value + (1.0 - smoothing) * state
+        out = np.einsum("np,np->n", state, state) / variance > limit
+        lengths[alive[out]] = step
+        alive, state = alive[~out], state[~out]
+    return lengths
+
+
+def print_lengths(points: int, seed: int) -> None:
+    """Print the third table: about `points` chart points a row."""
+    rng = np.random.default_rng(seed)
+    print("\nMean run lengths; simulated ± standard error:")
+    print("| chart | shift / s | published | integral equation | simulated | / published |")
+    print("|---|---|---|---|---|---|")
+    for shift, published in SHEWHART.items():
+        print_length("Shewhart k = 3", rng, 1.0, 9.0, shift, published, shewhart_arl(3.0, shift), points)
+    for (smoothing, k), row in EWMA.items():
+        name = f"EWMA λ = {smoothing:g}, L = {k}"
+        for shift, published in zip(SHIFTS, row, strict=True):
+            exact = ewma_arl(smoothing, k, shift)
+            print_length(name, rng, smoothing, k * k, shift, published, exact, points)
+    for (p, smoothing, limit), published in MEWMA.items():
+        name = f"MEWMA p = {p}, λ = {smoothing:g}, h = {limit}"
+        exact = mewma_arl(smoothing, limit, p)
+        print_length(name, rng, smoothing, limit, 0.0, published, exact, points, p)
+
+
+def print_length(
+    name: str,
+    rng: np.random.Generator,
+    smoothing: float,
+    limit: float,
+    shift: float,
+    published: float,
+    exact: float,
+    points: int,
+    p: int = 1,
+) -> None:
+    """Print one row."""
+    found = run_lengths(rng, smoothing, limit, shift, max(1000, int(points / published)), p)
+    mean, u = float(found.mean()), float(found.std(ddof=1) / np.sqrt(len(found)))
+    print(
+        f"| {name} | {shift:g} | {published:g} | {exact:.4g} | {mean:.4g} ± {u:.2g} | {mean / published:.3f} |",
+        flush=True,
+    )
+
+
+TABLES: Final = {"rejections": print_rejections, "wrong": print_wrong, "lengths": print_lengths}
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=1_000_000, help="chart points of each row")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--table", choices=TABLES, help="one of the three alone")
+    asked = parser.parse_args()
+    for name, table in TABLES.items():
+        if asked.table in (None, name):
+            table(asked.runs, asked.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""Two syncs at once lose nothing, and one that was ended goes on where it was."""
+
+import multiprocessing
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from sqlalchemy import func, select
+
+from bench.catalogue import schema
+from bench.catalogue import sync as syncing
+from bench.catalogue.questions import run_folders
+from bench.catalogue.store import open_catalogue
+from bench.catalogue.sync import sync
+from bench.certificate.register import ISSUED, Entry, opened
+from tests.support.laboratory import write_run
+
+COUNT = 24
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**15))
+    monkeypatch.setattr(syncing, "BATCH", 3)
+    for k in range(COUNT):
+        write_run(
+            tmp_path / "runs" / f"r{k:02}", serial=str(k % 5), meters=(f"M{k % 3}", "N", "O"), effects=()
+        )
+    return tmp_path / "runs"
+
+
+def test_two_syncs_at_once_write_what_one_alone_writes(runs, tmp_path):
+    def synced(_):
+        with open_catalogue(tmp_path / "both") as catalogue:
+            return sync(catalogue, [runs], processes=1).to_json()
+
+    with ThreadPoolExecutor(3) as pool:
+        done = list(pool.map(synced, range(3)))
+    assert all(one["problems"] == [] for one in done)
+    with open_catalogue(tmp_path / "alone") as catalogue:
+        sync(catalogue, [runs], processes=1)
+    assert rows_of(tmp_path / "both") == rows_of(tmp_path / "alone")
+
+
+def test_a_sync_that_was_ended_goes_on_where_it_was(runs, tmp_path, monkeypatch):
+    write, batches = syncing._write, []
+
+    def ended(*given):
+        batches.append(given)
+        if len(batches) == 4:
+            raise KeyboardInterrupt
+        write(*given)
+
+    with open_catalogue(tmp_path / "file") as catalogue:
+        monkeypatch.setattr(syncing, "_write", ended)
+        with pytest.raises(KeyboardInterrupt):
+            sync(catalogue, [runs], processes=1)
+        assert len(run_folders(catalogue, [])) == 9
+        monkeypatch.setattr(syncing, "_write", write)
+        done = sync(catalogue, [runs], processes=1)
+    assert (done.added, done.unchanged) == (COUNT - 9, 9)
+
+
+@pytest.mark.slow
+def test_folders_read_by_processes_are_the_same(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr(syncing, "FEW", 4)
+    monkeypatch.setattr(syncing, "CHUNK", 5)
+    for name, processes in (("one", 1), ("two", 2)):
+        with open_catalogue(tmp_path / name) as catalogue:
+            assert sync(catalogue, [runs], processes=processes).added == COUNT
+    assert rows_of(tmp_path / "one") == rows_of(tmp_path / "two")
+    assert not multiprocessing.active_children()
+
+
+def test_a_register_tells_which_certificate_was_issued_of_which_run(runs, tmp_path):
+    with open_catalogue(tmp_path / "file") as catalogue:
+        sync(catalogue, [runs], processes=1)
+        with catalogue.reading() as connection:
+            asked = select(schema.RUNS.c.head).where(schema.RUNS.c.name == "r07")
+            head = connection.execute(asked).scalar_one()
+        with opened(runs / "certificates") as register:
+            data = {"run": "r07", "record": {"head": head}}
+            register.issue(Entry(ISSUED, "C-1", "2026-05-01T00:00:00+00:00", "A. Example", data), {})
+        assert sync(catalogue, [runs]).problems == {}
+        assert [path.name for path in run_folders(catalogue, ["issued=C-*"])] == ["r07"]
+        assert len(run_folders(catalogue, ["issued=none"])) == COUNT - 1
+        (runs / "certificates" / "register.jsonl").write_text("{}\n")
+        assert list(sync(catalogue, [runs]).problems) == [str(runs / "certificates")]
+        assert [path.name for path in run_folders(catalogue, ["issued=C-1"])] == ["r07"]
+
+
+def rows_of(file):
+    with open_catalogue(file) as catalogue, catalogue.reading() as connection:
+        assert connection.execute(select(func.count()).select_from(schema.RUNS)).scalar_one() == COUNT
+        return {
+            table.name: connection.execute(select(table).order_by(*table.primary_key)).all()
+            for table in schema.METADATA.sorted_tables
+        }

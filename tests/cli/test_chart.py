@@ -1,0 +1,225 @@
+"""The check block of a simulated bench: measured on some days, a shift, a run refused."""
+
+import io
+import json
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from bench.api import check_block, checked_before
+from bench.api.check_block import chart_of, check_block_runs
+from bench.api.checked_before import check_before
+from bench.api.errors import Refused
+from bench.api.execution import carry_out, new_run
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench
+from bench.run.folder import Run
+from tests.support.schemas import keeps_to
+
+SHIFT = "model_file: 1\nname: a meter off\neffects:\n  - name: voltmeter_offset\n    parameters: {offset: 600 uV}\n"
+SECTION = "\ncheck_block:\n  serial: CHECK-1\n  rule: refuse\n  baseline: 3\n"
+
+
+def measured(
+    name: str, seed: int, *, unit: str | None = "CHECK-1", model: Path | None = None, **asked
+) -> Run:
+    new = new_run(
+        "quick", "my.yaml", Path("runs"), dry_run=True, seed=seed, name=name, unit=unit, model=model, **asked
+    )
+    carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
+    return Run(new.folder)
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """A folder with five runs of the check block, the last with a shift of 600 µV; not to be written to."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        text = find_bench("paper-stand").read_text(encoding="utf-8")
+        Path("my.yaml").write_text(text + SECTION, encoding="utf-8")
+        Path("shift.yaml").write_text(SHIFT, encoding="utf-8")
+        for day in range(4):
+            measured(f"check-{day}", seed=10 + day)
+        measured("shifted", seed=20, model=Path("shift.yaml"))
+    return folder
+
+
+@pytest.fixture
+def there(laboratory, monkeypatch):
+    monkeypatch.chdir(laboratory)
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    return load_bench(Path("my.yaml"))
+
+
+def of_days(bench, count: int, name: str = "shifted"):
+    """The chart of the first runs, as it was on their day."""
+    runs = check_block_runs(bench, Path("runs"), simulated=True)
+    return chart_of(runs[:count], bench.check_block)
+
+
+def test_days_in_control_and_the_day_of_a_shift(there):
+    first = of_days(there, 1)
+    assert first.sentence().startswith("NO VERDICT yet: check-0 is the first")
+    good = of_days(there, 4)
+    assert good.accepted
+    assert [run.name for run in good.chart.baseline] == ["check-0", "check-1", "check-2"]
+    assert good.chart.centre.dof == 24.0
+    bad = of_days(there, 5)
+    assert not bad.accepted
+    assert bad.sentence().startswith("OUT OF CONTROL: shifted: T² = ")
+    assert "U0x" in bad.sentence()
+    keeps_to("chart", json.loads(json.dumps(bad.to_dict())))
+
+
+def test_with_two_runs_stated_u_has_to_do(there):
+    found = of_days(there, 2)
+    assert found.chart.design.basis == "stated"
+    assert "until the baseline has 3 runs" in found.notes[0]
+
+
+def test_a_run_that_was_out_of_control_is_no_part_of_the_baseline(there):
+    runs = check_block_runs(there, Path("runs"), simulated=True)
+    shifted = runs.pop()
+    section = there.check_block.model_copy(update={"baseline": 10})
+    # as if the shift had come on the third day
+    found = chart_of([*runs[:2], shifted, *runs[2:]], section)
+    assert "shifted" not in [run.name for run in found.chart.baseline]
+
+
+def test_what_the_check_says_of_a_run(there, monkeypatch):
+    def said(count: int, hours: float):
+        runs = check_block_runs(there, Path("runs"), simulated=True)[:count]
+        monkeypatch.setattr(checked_before, "check_block_runs", lambda *_, **__: runs)
+        when = datetime.fromisoformat(runs[-1].created) if runs else datetime.now(UTC)
+        return check_before(
+            there, Path("my.yaml"), Path("runs"), when + timedelta(hours=hours), simulated=True
+        )
+
+    assert said(4, 2.0).state == "in control"
+    assert said(4, 25.0).state == "too old"
+    assert "25.0 h old; it counts for 24 h" in said(4, 25.0).sentence or "1 d" in said(4, 25.0).sentence
+    assert said(5, 1.0).state == "out of control"
+    assert said(0, 1.0).state == "missing"
+    assert "measure it once more" in said(1, 1.0).sentence
+
+
+def test_a_run_is_refused_unless_somebody_says_why_not(there):
+    with pytest.raises(Refused, match=r"OUT OF CONTROL.*despite_check"):
+        measured("work", 30, unit=None, check_block=True)
+    new = new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1, despite_check="only y is needed")
+    told = new.manifest["check_block"]
+    assert (told["state"], told["run"], told["despite"]) == ("out of control", "shifted", "only y is needed")
+    with pytest.raises(Refused, match="say in words"):
+        new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1, despite_check=" ")
+
+
+def test_neither_a_dry_run_nor_the_check_itself_is_held_to_it(there):
+    plain = new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1)
+    assert "check_block" not in plain.manifest
+    itself = new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1, unit="CHECK-1", check_block=True)
+    assert "check_block" not in itself.manifest
+    assert "this is a run of the check block" in itself.notes[-1]
+
+
+def test_a_real_run_looks_for_real_checks(there):
+    with pytest.raises(Refused, match="no run of the check block CHECK-1"):
+        new_run("quick", "my.yaml", Path("runs"), dry_run=False, seed=1)
+
+
+def test_with_warn_the_run_goes_on_and_its_result_says_so(laboratory, tmp_path, monkeypatch):
+    import shutil
+
+    import bench
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(laboratory / "runs", "runs")
+    text = (laboratory / "my.yaml").read_text(encoding="utf-8").replace("rule: refuse", "rule: warn")
+    Path("my.yaml").write_text(text, encoding="utf-8")
+    measured("work", 30, unit=None, check_block=True)
+    notes = bench.calibrate("work").notes
+    assert any(note.startswith("check block: the last run") and "rule is to warn" in note for note in notes)
+
+
+def test_a_bench_without_a_check_block_cannot_be_held_to_one(there):
+    with pytest.raises(Refused, match="states no check_block"):
+        new_run("quick", "paper-stand", Path("runs"), dry_run=True, seed=1, check_block=True)
+
+
+def test_the_command_draws_the_chart_and_its_status_is_the_verdict(there, bench, laboratory, monkeypatch):
+    monkeypatch.chdir(laboratory)
+    status, out, err = bench("chart", "runs", "--json", "chart.json", "--page", "chart.html")
+    assert (status, err) == (1, "")
+    assert "OUT OF CONTROL: shifted" in out
+    keeps_to("chart", json.loads(Path("chart.json").read_text(encoding="utf-8")))
+    page = Path("chart.html").read_text(encoding="utf-8")
+    assert "Out of control" in page
+    assert "SIMULATED" in page
+    status, out, _ = bench("chart", *(f"check-{k}" for k in range(4)), "--limits", "stated")
+    assert status == 0
+    assert "IN CONTROL: check-3" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--limits", "guessed"], "limits are from stated, scaled, scatter"),
+        (["--smoothing", "2"], "between 0.03 and 1"),
+        (["--arl", "3"], "between 20 and"),
+        (["--real"], "no run of a check block"),
+    ],
+)
+def test_what_cannot_be_charted_is_one_sentence(there, bench, laboratory, monkeypatch, arguments, told):
+    monkeypatch.chdir(laboratory)
+    status, _, err = bench("chart", "runs", *arguments)
+    assert status == 2
+    assert told in err
+
+
+def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):
+    import bench as program
+
+    result = program.calibrate("check-0").to_dict()
+    (tmp_path / "ours.json").write_text(json.dumps(result), encoding="utf-8")
+    section = there.check_block.model_copy(update={"reference": ("ours.json",)})
+    runs = check_block_runs(there, Path("runs"), simulated=True)
+    found = chart_of(runs, section, of_bench=tmp_path / "my.yaml")
+    assert found.chart.reference.name == "ours.json"
+    assert len(found.chart.later) == 5
+    with pytest.raises(Refused, match=r"none\.json: no result of"):
+        chart_of(
+            runs, section.model_copy(update={"reference": ("none.json",)}), of_bench=tmp_path / "my.yaml"
+        )
+
+
+def test_from_python_it_is_the_same_chart(there):
+    import bench as program
+
+    found = program.chart("runs", bench="my.yaml")
+    assert found.to_dict() == of_days(there, 5).to_dict()
+    assert not found.accepted
+
+
+def test_a_run_that_ends_puts_itself_on_the_chart(laboratory, tmp_path, monkeypatch):
+    import shutil
+
+    from bench.cli.run import charted
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(laboratory / "runs", "runs")
+    out = io.StringIO()
+    assert charted(Run(Path("runs/shifted")), Console(file=out, width=200)) == 1
+    assert "OUT OF CONTROL: shifted" in out.getvalue()
+    keeps_to("chart", json.loads(Path("runs/shifted/chart.json").read_text(encoding="utf-8")))
+
+
+def test_values_are_kept_by_the_head_of_their_record(there, monkeypatch):
+    (run, *_) = check_block_runs(there, Path("runs"), simulated=True)
+    kept = check_block.check_values(run)
+    monkeypatch.setattr("bench.api.check_values.calibration_of", lambda _: pytest.fail("calibrated again"))
+    again = check_block.check_values(Run(run.folder))
+    assert (again.value == kept.value).all()
+    assert (again.readings == kept.readings).all()
+    assert again.when == kept.when

@@ -1,0 +1,42 @@
+"""A folder of runs for batches: copies of one record of an earlier version, with or without stored results."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from bench.api.calibration import calibration_of
+from bench.api.source import Request, load_sources
+from bench.api.verification import verification_of
+from bench.base.whole import to_text
+
+RECORD = Path(__file__).parents[1] / "data" / "records" / "finished"
+
+
+def runs_in(folder: Path, count: int, *, stored: bool = True) -> list[Path]:
+    """Make runs `run-1` … in a folder; the results that they have stored are those of this program."""
+    results = results_of(RECORD) if stored else {}
+    made = []
+    for number in range(1, count + 1):
+        run = folder / f"run-{number}"
+        shutil.copytree(RECORD, run)
+        for name, told in results.items():
+            (run / name).write_text(to_text(told), encoding="utf-8")
+        made.append(run)
+    return made
+
+
+def results_of(run: Path) -> dict[str, Any]:
+    """Return what calibrate and verify find in a run, by the name of the file."""
+    (source,) = load_sources(Request([str(run)], run.parent))
+    found = calibration_of(source)
+    return {"calibrate.json": found.to_dict(), "verify.json": verification_of(source, found).to_dict()}
+
+
+def edited(file: Path, edit: Any) -> None:
+    """Change what a JSON file says."""
+    told = json.loads(file.read_text(encoding="utf-8"))
+    edit(told)
+    file.write_text(to_text(told), encoding="utf-8")
