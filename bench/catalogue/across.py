@@ -171,6 +171,11 @@ def compared(table: CoefficientTable, method: str | None = None) -> Compared:
     covariances = joint_covariances(there)
     (names, of_unit), (stands, of_bench) = coded(measured.unit[rows]), coded(measured.bench[rows])
     values = np.array([one.vector for one in there])
+    when = measured.when[rows]
+    days = int((when.max() - when.min()) / np.timedelta64(1, "D"))
+    drifted = (
+        f"over {days} days: what a unit changed by between its calibrations counts as a difference of benches",
+    )
     taking = [Participants(values[:, k], covariances[k], of_unit, of_bench) for k in range(len(COEFFICIENTS))]
     return Compared(
         benches=tuple(stands.tolist()),
@@ -181,7 +186,7 @@ def compared(table: CoefficientTable, method: str | None = None) -> Compared:
         calibrations=len(rows),
         signal=measured.signal,
         simulated=measured.simulated,
-        notes=notes,
+        notes=(*notes, *drifted) if days else notes,
     )
 
 
