@@ -32,11 +32,13 @@ if TYPE_CHECKING:
         confirm,
         diagnose,
         dry_run,
+        learn,
         load_bench,
         read_readings,
         verify,
     )
     from bench.api.free_diagnosis import FreeDiagnosisResult
+    from bench.api.learning import LearningResult
     from bench.api.verification import VerificationResult
     from bench.base.forms import FileMistakes
     from bench.files.bench.file import BenchFile
@@ -56,6 +58,7 @@ __all__ = [
     "DryRun",
     "FileMistakes",
     "FreeDiagnosisResult",
+    "LearningResult",
     "Readings",
     "ReadingsError",
     "RecordError",
@@ -67,6 +70,7 @@ __all__ = [
     "confirm",
     "diagnose",
     "dry_run",
+    "learn",
     "load_bench",
     "read_readings",
     "verify",
@@ -82,9 +86,10 @@ _HOMES: Final = {
     "bench.api.diagnosis": ("DiagnosisResult",),
     "bench.api.errors": ("Refused",),
     "bench.api.face": (
-        "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
+        "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "learn", "load_bench", "read_readings", "verify",
     ),
     "bench.api.free_diagnosis": ("FreeDiagnosisResult",),
+    "bench.api.learning": ("LearningResult",),
     "bench.api.verification": ("VerificationResult",),
     "bench.base.forms": ("FileMistakes",),
     "bench.files.bench.file": ("BenchFile",),

@@ -2,6 +2,7 @@
 
     python -m benchmarks.until_campaign --runs 2500 --seed 1 --workers 2
     python -m benchmarks.until_campaign --runs 500 --seed 2 --goal vector=6.83e-5
+    python -m benchmarks.until_campaign --runs 2500 --seed 3 --minutes 15
 
 Each run draws a size of the noise (a part of what the bench file states, `--noise`, equally often), a block
 near the paper's and a stand, and takes the readings that `bench.analysis.planning.until` chooses from the
@@ -10,17 +11,20 @@ Stopping is by what a calibration of the readings so far states. Printed, for al
 (estimate - truth)/u over the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error
 over runs, k = 2 coverage (wanted: 0.93 at least), the runs that reached the goal, settings, mean bench time
 over that of the best fixed plan for the same goal that knows the noise (wanted: 1.10 at most), and the same
-without warm-up and verification. Beside it z of the same number of readings fixed before: what stopping
-itself does. The noise of the data is that of the readings and of the head.
+without warm-up and verification. Beside it, for every fourth run, z of the same number of readings fixed before:
+what stopping itself does. The noise of the data is that of the readings and of the head. With `--minutes` no run
+begins later than that; those that began are counted, so that what a run gives has no part in whether it counts.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,7 +35,7 @@ from bench.analysis.calibration.calibrate import calibrate
 from bench.analysis.calibration.noise import LEAST_REPEATS
 from bench.analysis.calibration.result import Calibration
 from bench.analysis.planning.until.aim import reached_by
-from bench.analysis.planning.until.choice import REACHED, Chooser, Standing
+from bench.analysis.planning.until.choice import REACHED, Choice, Chooser, Standing
 from bench.analysis.planning.until.design import Task, Visits
 from bench.analysis.planning.until.noise import scale_of
 from bench.analysis.planning.until.pool import Point
@@ -48,9 +52,11 @@ READING_V, SETTING_RAD = 1e-4, 10 * ARCSEC / 3
 TILT_RAD, MOUNT_RAD = 5 * ARCSEC / 3, 90 * ARCSEC / 3
 
 
+CHUNK = 100
+FIXED_EVERY = 4
 SPREAD = 0.02
 """Of the block about the paper's, g and V."""
-LARGEST_LOOKS = 20
+LARGEST_LOOKS = 60
 
 
 @dataclass(frozen=True)
@@ -78,14 +84,14 @@ class World:
         setting = self.scale * self.rng.normal(0.0, SETTING_RAD, len(points))
         force = specific_force(labels, angle, errors[0], errors[1], errors[2], setting)
         noise = self.scale * self.rng.normal(0.0, READING_V, (len(points), 3))
-        return _table(points, force @ self.K.T + self.U0 + noise)
+        return table_of(points, force @ self.K.T + self.U0 + noise)
 
     @property
     def truth(self) -> np.ndarray:
         return np.concatenate([self.K.ravel(), self.U0])
 
 
-def _table(points: list[Point], signal: np.ndarray) -> Readings:
+def table_of(points: list[Point], signal: np.ndarray) -> Readings:
     return make_readings(
         [p.site.mount.installation for p in points],
         [p.pass_number for p in points],
@@ -118,19 +124,19 @@ def calibrated(readings: Readings, chooser: Chooser) -> Calibration:
     return calibrate(readings, chooser.stand.model, chooser.stand.sizes, 9.81)
 
 
-def run_until(chooser: Chooser, world: World) -> Ended:
-    """Take readings until the choice is to stop."""
+def run_until(chooser: Chooser, world: World, first: Choice | None = None) -> Ended:
+    """Take readings until the choice is to stop; `first` is what is chosen before there are any."""
     standing, points, signals = Standing(), [], []
     spent_s = chooser.pool.always_s
-    for _ in range(LARGEST_LOOKS):
-        choice = chooser.choose(standing)
+    for look in range(LARGEST_LOOKS):
+        choice = first if first is not None and look == 0 else chooser.choose(standing)
         if choice.stop:
             break
         new = list(choice.points)
         points += new
         signals.append(world.measured(new).signal)
         spent_s += choice.next_s
-        readings = _table(points, np.concatenate(signals))
+        readings = table_of(points, np.concatenate(signals))
         standing = Standing(
             choice.visit,
             frozenset(p.steps[0] for p in points),
@@ -197,27 +203,38 @@ def time_of(chooser: Chooser, points: list[Point]) -> float:
     return chooser.pool.always_s + own + sum(p.time_s for p in points)
 
 
-def part(goals: list[str], noises: list[float], seed: int, numbers: range) -> list[tuple[Ended, np.ndarray]]:
-    """Carry out runs by number; beside each, z of a fixed choice of points with the same noise."""
+Outcome = tuple[Ended, np.ndarray | None]
+"""A run, and z of as many readings fixed before with the same noise, where that was looked at."""
+
+
+def part(
+    goals: list[str], noises: list[float], seed: int, last_start: float, numbers: range
+) -> list[Outcome]:
+    """Carry out runs by number, none that would begin after the time `last_start`."""
+    if time.time() > last_start:
+        return []
     chooser = chooser_for(goals)
     fixed = {scale: best_fixed(chooser, scale) for scale in noises}
-    found = []
+    first = chooser.choose(Standing())
+    found: list[Outcome] = []
     for number in numbers:
+        if time.time() > last_start:
+            break
         rng = np.random.default_rng([seed, number])
         scale = noises[number % len(noises)]
-        ended = run_until(chooser, World.drawn(rng, scale))
-        world = World.drawn(rng, scale)
-        plan = fixed[scale] + [p for p in chooser.pool.points if p not in fixed[scale]]
-        again = calibrated(world.measured(plan[: max(ended.settings, len(fixed[scale]))]), chooser)
-        z = (again.block.vector - world.truth) / np.sqrt(np.diag(again.covariance_readings))
-        found.append((ended, z))
+        ended = run_until(chooser, World.drawn(rng, scale), first)
+        other = None
+        if number // len(noises) % FIXED_EVERY == 0:
+            world = World.drawn(rng, scale)
+            plan = fixed[scale] + [p for p in chooser.pool.points if p not in fixed[scale]]
+            again = calibrated(world.measured(plan[: max(ended.settings, len(fixed[scale]))]), chooser)
+            other = (again.block.vector - world.truth) / np.sqrt(np.diag(again.covariance_readings))
+        found.append((ended, other))
     return found
 
 
-def row(
-    name: str, ended: list[tuple[Ended, np.ndarray]], fixed_s: float, once_s: float, settings: float
-) -> str:
-    z, other = np.array([e.z for e, _ in ended]), np.array([o for _, o in ended])
+def row(name: str, ended: list[Outcome], fixed_s: float, once_s: float, settings: float) -> str:
+    z, other = np.array([e.z for e, _ in ended]), np.array([o for _, o in ended if o is not None])
     by_run = np.mean(z**2, axis=1)
     size = np.sqrt(by_run.mean())
     error = by_run.std(ddof=1) / np.sqrt(len(z)) / (2 * size)
@@ -238,14 +255,15 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=2500)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=float("inf"))
     parser.add_argument("--goal", nargs="+", default=["all=5e-5"])
     parser.add_argument("--noise", nargs="+", type=float, default=NOISES)
     asked = parser.parse_args()
-    chunks = [range(first, min(first + 50, asked.runs)) for first in range(0, asked.runs, 50)]
-    count = len(chunks)
+    last_start = time.time() + 60 * asked.minutes
+    chunks = [range(first, min(first + CHUNK, asked.runs)) for first in range(0, asked.runs, CHUNK)]
+    run = partial(part, asked.goal, asked.noise, asked.seed, last_start)
     with ProcessPoolExecutor(asked.workers) as pool:
-        parts = pool.map(part, [asked.goal] * count, [asked.noise] * count, [asked.seed] * count, chunks)
-        ended = [one for chunk in parts for one in chunk]
+        ended = [one for chunk in pool.map(run, chunks) for one in chunk]
     chooser = chooser_for(asked.goal)
     fixed = {scale: best_fixed(chooser, scale) for scale in asked.noise}
     times = {scale: time_of(chooser, points) for scale, points in fixed.items()}
@@ -263,8 +281,8 @@ def main() -> int:
     print(row("all", ended, known_s, once_s, settings))
     z = np.array([e.z for e, _ in ended])
     size, covered = float(np.sqrt(np.mean(z**2))), float(np.mean(np.abs(z) <= 2))
-    time = float(np.mean([e.time_s for e, _ in ended])) / known_s
-    return 0 if 0.93 <= size <= 1.07 and covered >= 0.93 and time <= 1.10 else 1
+    slower = float(np.mean([e.time_s for e, _ in ended])) / known_s
+    return 0 if 0.93 <= size <= 1.07 and covered >= 0.93 and slower <= 1.10 else 1
 
 
 if __name__ == "__main__":

@@ -110,6 +110,7 @@ def budget(
         file.unit_under_test.range, judgement.limit_g, judgement.rule, trials, same_voltmeters
     )
     found = assess(setup, bench_sources(file, setup, utc_now().date()), estimator, question)
+    found = replace(found, beside=_learned_notes(taken))
     head = {
         "bench": file.name,
         "bench_file": taken.to_dict(),
@@ -120,6 +121,17 @@ def budget(
         "readings": {"fitted": int(setup.fitted.sum()), "verification": int(setup.verification.sum())},
     }
     return BudgetResult(taken.words, head, found)
+
+
+def _learned_notes(taken: BenchTaken) -> tuple[str, ...]:
+    """Say that a budget keeps to the stated limits where the bench file names a learned file too."""
+    learned = taken.learned()
+    if learned is None:
+        return ()
+    return (
+        f"what was learned of bench {learned.bench} from {len(learned.runs)} runs ({learned.made}) is not used: a "
+        "budget is of the limits that the bench file states; a calibration that takes it states another u",
+    )
 
 
 def _check_trials(trials: int) -> None:

@@ -19,6 +19,7 @@ from bench.analysis.calibration.estimators import GLS
 from bench.analysis.calibration.result import COVERAGE_FACTOR
 from bench.analysis.temperature.plateaus import separate_temperatures
 from bench.api.coefficients import Coefficients, block_result
+from bench.api.prior import PriorTaken, with_prior
 from bench.api.provenance import record_head
 from bench.api.source import Source
 from bench.base.arrays import Floats, u_of
@@ -57,11 +58,12 @@ class CalibrationResult:
     """The twelve coefficients of U = K a + U0 with their covariance, and what they were made from.
 
     a is the specific force in g of the place (+1 g on an upward axis). `calibration` holds all that was found,
-    `source` the readings, the bench and the model.
+    `source` the readings, the bench and the model, `prior` what units of its type told, where that was asked for.
     """
 
     source: Source
     calibration: Calibration
+    prior: PriorTaken | None = None
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
@@ -107,7 +109,11 @@ class CalibrationResult:
     def notes(self) -> tuple[str, ...]:
         """What a reader of the result should know, a sentence each; rows that were left out, too."""
         readings = self.source.readings
-        return (*self.doubts, *self.calibration.notes, *readings.notes, *readings.skipped)
+        return (*self.doubts, *self._of_prior, *self.calibration.notes, *readings.notes, *readings.skipped)
+
+    @property
+    def _of_prior(self) -> tuple[str, ...]:
+        return () if self.prior is None else self.prior.notes
 
     @property
     def accepted(self) -> bool:
@@ -128,7 +134,8 @@ class CalibrationResult:
             "meters": list(source.meters),
             "corrections": source.traced.to_json(),
             **({} if source.run is None else {"record": record_head(source.run)}),
-            "notes": [*self.doubts, *self.calibration.notes, *source.readings.notes],
+            **({} if self.prior is None else {"prior": self.prior.to_json()}),
+            "notes": [*self.doubts, *self._of_prior, *self.calibration.notes, *source.readings.notes],
             "skipped_rows": list(source.readings.skipped),
         }
 
@@ -226,8 +233,12 @@ def calibration_of(
     nominal_angles: bool = False,
     join_free: bool = True,
     join_verification: bool = False,
+    prior: Path | None = None,
 ) -> CalibrationResult:
-    """Calibrate a source with its own bench and model. Raises `CalibrationError` where it cannot be."""
+    """Calibrate a source with its own bench and model, and with a `prior` file of its unit's type.
+
+    Raises `CalibrationError` where it cannot be, `Refused` for a prior that is not of this unit's type.
+    """
     source = _with_note_on_temperatures(source)
     found = estimate(
         source.readings,
@@ -239,10 +250,12 @@ def calibration_of(
         nominal_angles=nominal_angles,
         join_free=join_free,
         join_verification=join_verification,
+        known=source.known,
     )
-    return CalibrationResult(
-        source, sign(found, source.readings, source.bench, source.model, source.traced.day)
-    )
+    signed = sign(found, source.readings, source.bench, source.model, source.traced.day)
+    if prior is None:
+        return CalibrationResult(source, signed)
+    return CalibrationResult(source, *with_prior(signed, source, prior))
 
 
 def _with_note_on_temperatures(source: Source) -> Source:

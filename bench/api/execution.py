@@ -20,7 +20,7 @@ from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
 from bench.api.simulated_truth import simulated_truth
-from bench.api.taken import bench_path, why_taken
+from bench.api.taken import bench_for_record, bench_path, why_taken
 from bench.api.traceability import remarks
 from bench.api.until import noted_goals, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
@@ -122,7 +122,7 @@ def new_run(
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
         PROCEDURE: procedure_path.read_bytes(),
         **_included(loaded),
-        BENCH: bench_file_path.read_bytes(),
+        **bench_for_record(file, bench_file_path),
     }
     if model is not None:
         load_model(model, file.installation_models())

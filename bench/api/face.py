@@ -12,6 +12,7 @@ import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import date
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.confirmation import ConfirmationResult, confirmation_of
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.api.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
+from bench.api.learning import LearningResult, learning_of
 from bench.api.origin import origin_beside
 from bench.api.own_effects import knowing_effects_in
 from bench.api.source import Request, Source, load_sources
@@ -176,6 +178,26 @@ def confirm(
     """
     (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
     return confirmation_of(loaded)
+
+
+def learn(
+    sources: Sequence[Data],
+    *,
+    bench: Bench = None,
+    model: str | Path | None = None,
+    by_installation: bool = False,
+    expires: date | None = None,
+    skip_bad_rows: bool = False,
+    runs: str | Path | None = None,
+) -> LearningResult:
+    """Return what the runs of one bench tell of it, as `bench learn` finds it; `write` makes the learned file.
+
+    `model` is a model file with effects of the bench, found in many runs together, which become the bench's;
+    `by_installation` gives each installation mean angles of its own; the file counts until `expires` (a year, where
+    nobody says). Else as in `calibrate`.
+    """
+    loaded = _loaded(list(sources), bench, model, None, runs, skip_bad_rows=skip_bad_rows)
+    return learning_of(loaded, by_installation=by_installation, expires=expires)
 
 
 @dataclass(frozen=True)

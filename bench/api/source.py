@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.analysis.calibration.known import KnownStand
 from bench.api.errors import Refused
+from bench.api.learned import LearnedTaken, take_learned
 from bench.api.origin import Origin, Told, origin_beside, origin_of_run
 from bench.api.taken import BenchTaken, bench_of, recorded_sha256
 from bench.api.traceability import Traced, trace
@@ -57,6 +59,7 @@ class Source:
     `origin` is where they come from, None where nobody says it. The readings are corrected as the certificates of
     the instruments say, of which `traced` tells; `as_read` are those that were read. `effects` are the user's own:
     those that were known, and those whose formulas stand in the bench file and the model file.
+    `known` is what other runs of the bench told of its stand and noise, None where nothing counts.
     """
 
     name: str
@@ -71,6 +74,7 @@ class Source:
     as_read: Readings
     traced: Traced
     effects: tuple[Effect, ...] = ()
+    known: KnownStand | None = None
 
     @property
     def simulated(self) -> bool:
@@ -193,10 +197,32 @@ def _load(given: Given, request: Request) -> Source:
         own += file.own_effects()
     as_read = readings
     bench, readings, traced = trace(taken, bench, readings, told.origin)
-    readings = replace(readings, notes=(*notes, *traced.notes(), *readings.notes))
+    learned = _learned(taken, as_read, traced, run, told)
+    there = {applied.effect.name for applied in model.effects}
+    further = tuple(applied for applied in learned.effects if applied.effect.name not in there)
+    if further:
+        model = replace(model, effects=(*model.effects, *further))
+    readings = replace(readings, notes=(*notes, *learned.notes, *traced.notes(), *readings.notes))
     name = given if isinstance(given, str) else readings.source
     return Source(
-        name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced, own
+        name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced,
+        (*own, *learned.own), learned.known,
+    )  # fmt: skip
+
+
+def _learned(
+    taken: BenchTaken, readings: Readings, traced: Traced, run: Run | None, told: Told
+) -> LearnedTaken:
+    file = taken.learned()
+    if file is None:
+        return take_learned(None, traced.day, readings.unit)
+    return take_learned(
+        file,
+        traced.day,
+        readings.unit,
+        head="" if run is None else run.history.head,
+        hashes=(data_sha256(readings), sha256(format_csv(readings, to_the_bit=True).encode())),
+        simulated=None if told.origin is None else told.origin.simulated,
     )
 
 

@@ -9,8 +9,9 @@ from typing import Final
 
 from bench.api.origin import SUFFIX, Told
 from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
+from bench.files.bench.learned import LearnedFile, load_learned
 from bench.files.shipped import find_bench
-from bench.run.folder import BENCH, Run
+from bench.run.folder import BENCH, LEARNED, Run
 from bench.run.manifest import sha256 as sha256_of
 
 DEFAULT_BENCH: Final = "paper-stand"
@@ -31,6 +32,20 @@ class BenchTaken:
     def stated(self) -> bool:
         """Whether anybody said that these readings are of this bench: else it stands in for theirs."""
         return self.why != _NONE_NAMED
+
+    @property
+    def learned_path(self) -> Path | None:
+        """Where the learned file is that it names: beside it, or the run's copy of it; None where it names none."""
+        if self.file.learned is None:
+            return None
+        own = Path(self.where)
+        copy = own.with_name(LEARNED)
+        return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
+
+    def learned(self) -> LearnedFile | None:
+        """Return what was learned of the bench, None where its file names none. Raises `FileMistakes`."""
+        path = self.learned_path
+        return None if path is None else load_learned(path, self.file)
 
     @property
     def words(self) -> str:
@@ -67,6 +82,15 @@ def find_bench_file(given: str | BenchFile | BenchTaken | None) -> BenchTaken:
         return BenchTaken(given, given.name, sha256_of(given.model_dump_json().encode()), "as given")
     path = bench_path(given)
     return BenchTaken(load_bench(path), str(path), sha256_of(path.read_bytes()), why_taken(given))
+
+
+def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
+    """Return what a run keeps of a bench file: it, and what it names as learned. Raises `FileMistakes`."""
+    taken = BenchTaken(file, str(path), "", "")
+    kept = {BENCH: path.read_bytes()}
+    if taken.learned() is not None and taken.learned_path is not None:
+        kept[LEARNED] = taken.learned_path.read_bytes()
+    return kept
 
 
 def recorded_sha256(run: Run) -> str:

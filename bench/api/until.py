@@ -193,7 +193,8 @@ class Until:
             if visit.mount in refused:
                 own = {step for point in visit.points for step in point.steps} | set(visit.steps)
                 needless = frozenset(own - progress.left_out - progress.done)
-        if index < comes and not needless:
+        again = any(step >= index and not progress.settled(step) for step in progress.redone)
+        if (index < comes and not needless) or again:  # what is taken again counts in the choice
             return None
         visited = -1 if last is None else int(last["visit"])
         choice = self._chooser.choose(self._standing(visited, refused, progress))

@@ -21,10 +21,8 @@ from bench.run.folder import Run
 from bench.run.manifest import EVENTS, MANIFEST, Manifest, sha256
 from bench.run.states import RunState, state_after_one
 
-_PREVIOUS: Final = b', "prev": "'
-_HASH: Final = slice(-66, -2)
-_BEFORE_HASH: Final = slice(-66 - len(_PREVIOUS), -66)
-"""Where each line ends with the hash of the one before."""
+_END: Final = b', "prev": "%s"}'
+"""How each line ends: with the hash of the one before."""
 _CHANGING: Final = re.compile(rb'"type": "(run_[a-z]+)"')
 _OPENED: Final = frozenset({"run_started", "run_resumed"})
 _STEP_OF_READING: Final = re.compile(rb'"type": "step_done", "step": (\d+), [^{}\n]*"reading": \{')
@@ -61,16 +59,13 @@ class RecordSeen:
                 self.problem = f"{name} was changed since the run began"
 
     def _go_through(self, content: bytes) -> None:
-        head, good, count = self.head.encode(), 0, 0
-        for line in content.split(b"\n")[:-1]:
-            if line[_HASH] != head or line[_BEFORE_HASH] != _PREVIOUS or line[-2:] != b'"}':
-                self.problem = f"{EVENTS}, line {count + 1}: the chain is broken here"
-                break
-            head = hashlib.sha256(line).hexdigest().encode()
-            good += len(line) + 1
-            count += 1
-        self.head, self.count = head.decode(), count
-        self._note(content[:good])
+        lines = content.split(b"\n")[:-1]
+        heads = [self.head.encode(), *(hashlib.sha256(line).hexdigest().encode() for line in lines)]
+        count = next((k for k, line in enumerate(lines) if not line.endswith(_END % heads[k])), len(lines))
+        if count < len(lines):
+            self.problem = f"{EVENTS}, line {count + 1}: the chain is broken here"
+        self.head, self.count = heads[count].decode(), count
+        self._note(content[: sum(len(line) + 1 for line in lines[:count])])
 
     def _note(self, content: bytes) -> None:
         """Note what the lines say that the catalogue keeps; a text of an operator cannot look like one of them."""

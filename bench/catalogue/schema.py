@@ -57,8 +57,8 @@ RUNS: Final = Table(
     Column("operator", Text),
     Column("unit_type", Text),
     Column("serial", Text, index=True),
-    Column("unit", Text, index=True),
-    Column("bench", Text, index=True),
+    Column("unit", Text),
+    Column("bench", Text),
     Column("bench_sha256", Text),
     Column("temperature_c", Float),
     Column("readings", Integer, nullable=False),
@@ -129,7 +129,7 @@ VERIFICATIONS: Final = Table(
     "verifications",
     METADATA,
     Column("run", BigInteger, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
-    Column("verdict", Text, nullable=False, index=True),
+    Column("verdict", Text, nullable=False),
     Column("limit_g", Float),
     Column("rule", Text),
     Column("worst_delta_g", Float),
@@ -176,6 +176,11 @@ OF_A_RUN: Final = (USES, CALIBRATIONS, VERIFICATIONS, POINTS, DIAGNOSES)
 """Tables whose rows belong to a run, and are made anew when it is read again."""
 
 Index("ix_runs_unit_created", RUNS.c.unit, RUNS.c.created)
+# what counts runs reads these alone
+Index("ix_runs_of_units", RUNS.c.unit, RUNS.c.bench, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
+Index("ix_runs_of_benches", RUNS.c.bench, RUNS.c.unit, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
+Index("ix_runs_of_operators", RUNS.c.operator, RUNS.c.unit, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
+Index("ix_verifications_verdict_run", VERIFICATIONS.c.verdict, VERIFICATIONS.c.run)
 
 
 def key_of(*words: str) -> int:

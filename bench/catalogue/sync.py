@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -28,7 +29,7 @@ from bench.base.visible import visible
 from bench.catalogue.folder import Found, read_folder
 from bench.catalogue.instruments import Row
 from bench.catalogue.issued import issued_in
-from bench.catalogue.scan import Seen, scan
+from bench.catalogue.scan import Place, Seen, scan, scan_all
 from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS
 from bench.catalogue.store import Catalogue
 from bench.run.manifest import MANIFEST
@@ -42,8 +43,12 @@ BATCH: Final = 1000
 """Folders that are written at once."""
 CHUNK: Final = 50
 """Folders that a process is given at once."""
-FEW: Final = 40
+FEW: Final = 300
 """So few folders are read in this process: starting others takes longer."""
+MANY: Final = 20_000
+"""Where more folders wait to be looked into, processes of their own look."""
+LOOKED: Final = 5000
+"""Folders that such a process is given at once."""
 _COPY, _COUNTED = "a copy of ", ": counted once"
 MOST_IN: Final = 5000
 """Keys in one condition; SQLite takes 32,766, PostgreSQL 65,535."""
@@ -80,7 +85,8 @@ def sync(
     many as there are cores unless stated. Raises `Refused` where a folder cannot be read, or the database fails.
     """
     roots = _roots(folders)
-    seen = _seen(roots)
+    count = os.cpu_count() or 1 if processes is None else processes
+    seen = _seen(roots, count)
     done = Synced()
     with catalogue.reading() as connection:
         known = _known(connection, roots)
@@ -96,14 +102,23 @@ def sync(
             done.problems[path] = row["reason"]
         if row["vanished"]:
             back.append(row)
-    count = os.cpu_count() or 1 if processes is None else processes
     for batch in _batches(_read(waiting, whole, count), BATCH):
         with catalogue.writing() as connection:
             _write(connection, batch, known, done)
-    gone = [row for path, row in known.items() if path not in seen.runs and not Path(path, MANIFEST).exists()]
+    gone = [
+        row
+        for path, row in known.items()
+        if path not in seen.runs
+        and not (path in seen.odd and row["run"] is None)
+        and not Path(path, MANIFEST).exists()
+    ]
+    done.problems |= seen.odd
+    odd = {path: why for path, why in seen.odd.items() if path not in known or known[path]["reason"] != why}
+    if not (back or odd or seen.registers or gone):
+        return done
     with catalogue.writing() as connection:
         _put_back(connection, back)
-        _mark_odd(connection, seen.odd, done)
+        _mark_odd(connection, odd)
         _write_registers(connection, seen.registers, done)
         done.vanished = _mark_vanished(connection, gone)
     return done
@@ -130,23 +145,50 @@ def _roots(folders: Sequence[str | Path]) -> list[str]:
     return roots
 
 
-def _seen(roots: Sequence[str]) -> Seen:
-    runs: dict[str, str] = {}
-    odd: dict[str, str] = {}
-    registers: list[str] = []
+def _seen(roots: Sequence[str], processes: int) -> Seen:
+    seen = Seen()
     now_ns = time.time_ns()
     for root in tracked(roots, "looking for runs"):
         try:
-            found = scan(root, now_ns)
+            found, waiting = scan(root, now_ns, MANY if processes > 1 else None)
         except OSError as error:
             raise Refused(f"{root}: cannot be read ({error.strerror})") from error
-        runs |= found.runs
-        odd |= found.odd
-        registers += found.registers
-    for path in [path for path in runs if not _is_text(path)]:
+        seen.take(found)
+        if waiting:
+            _look_apart(seen, waiting, now_ns, processes)
+    odd = {visible(path): why for path, why in seen.odd.items()}
+    for path in [path for path in seen.runs if not _is_text(path)]:
         odd[visible(path)] = "its name is not UTF-8: rename it"
-        del runs[path]
-    return Seen(runs, {visible(path): why for path, why in odd.items()}, tuple(registers))
+        del seen.runs[path]
+    return Seen(seen.runs, odd, seen.registers)
+
+
+def _look_apart(seen: Seen, waiting: list[Place], now_ns: int, processes: int) -> None:
+    """Look into many folders by processes, and in this one meanwhile."""
+    parts = list(_batches(waiting, LOOKED))
+    with _pool(processes - 1) as pool:
+        asked = [pool.submit(scan_all, part, now_ns) for part in parts]
+        for part, one in zip(reversed(parts), reversed(asked), strict=True):
+            if not one.cancel():
+                break
+            seen.take(scan_all(part, now_ns))
+        for one in asked:
+            if not one.cancelled():
+                seen.take(one.result())
+
+
+@contextmanager
+def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Give processes that read folders. Raises `Refused` where one of them was ended from outside."""
+    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise Refused(
+            "a process that read run folders was ended; sync again: it goes on where it was"
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _is_text(path: str) -> bool:
@@ -160,8 +202,9 @@ def _is_text(path: str) -> bool:
 def _known(connection: Connection, roots: Sequence[str]) -> dict[str, Row]:
     """Return what the catalogue has of the folders below `roots`, by path."""
     heads = tuple(root.rstrip(os.sep) + os.sep for root in roots)
-    rows = connection.execute(select(FOLDERS)).mappings()
-    return {r["path"]: dict(r) for r in rows if r["path"].startswith(heads) or r["path"] in roots}
+    names = FOLDERS.columns.keys()
+    rows = (dict(zip(names, row, strict=True)) for row in connection.execute(select(FOLDERS)))
+    return {r["path"]: r for r in rows if r["path"].startswith(heads) or r["path"] in roots}
 
 
 def _proved(connection: Connection) -> set[int]:
@@ -176,8 +219,7 @@ def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterat
             yield read_folder(path, mark, whole=whole)
         return
     chunks = _batches(waiting, CHUNK)
-    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
-    try:
+    with _pool(processes) as pool:
         running: deque[Future[list[Found]]] = deque(
             pool.submit(_read_chunk, chunk, whole) for chunk in islice(chunks, 4 * processes)
         )
@@ -185,12 +227,6 @@ def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterat
             found = running.popleft().result()
             running.extend(pool.submit(_read_chunk, chunk, whole) for chunk in islice(chunks, 1))
             yield from found
-    except BrokenProcessPool as error:
-        raise Refused(
-            "a process that read run folders was ended; sync again: it goes on where it was"
-        ) from error
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _read_chunk(chunk: list[tuple[str, str]], whole: bool) -> list[Found]:
@@ -287,8 +323,7 @@ def _put_back(connection: Connection, rows: list[Row]) -> None:
         connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=False))
 
 
-def _mark_odd(connection: Connection, odd: dict[str, str], done: Synced) -> None:
-    done.problems |= odd
+def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
     rows = [
         {"path": path, "fingerprint": "", "run": None, "reason": why, "vanished": False}
         for path, why in odd.items()
@@ -304,8 +339,11 @@ def _write_registers(connection: Connection, registers: Sequence[str], done: Syn
         except Refused as error:
             done.problems[folder] = str(error)
             continue
-        connection.execute(delete(ISSUED).where(ISSUED.c.register == folder))
-        _upsert(connection, ISSUED, rows)
+        of_it = ISSUED.c.register == folder
+        known = {row["id"]: dict(row) for row in connection.execute(select(ISSUED).where(of_it)).mappings()}
+        if known != {row["id"]: row for row in rows}:
+            connection.execute(delete(ISSUED).where(of_it))
+            _upsert(connection, ISSUED, rows)
 
 
 def _mark_vanished(connection: Connection, rows: list[Row]) -> int:

@@ -49,25 +49,30 @@ class UnitHistory:
             "simulated": self.simulated,
             "due": None if self.due is None else self.due.to_json(),
             "why_not_due": self.why_not_due,
-            "calibrations": [self._calibration(k) for k in range(len(self.table))],
+            "calibrations": in_json(self.table),
             "runs": self.runs.to_json(),
             "notes": list(self.notes),
         }
 
-    def _calibration(self, k: int) -> dict[str, Any]:
-        table = self.table
-        sizes = u_of(table.covariance[k])
-        return {
-            "path": table.path[k],
-            "created": f"{table.when[k].astype('datetime64[s]')}+00:00",
-            "bench": table.bench[k],
-            "unit": table.signal_unit[k],
-            "g_m_s2": float(table.g_m_s2[k]),
-            "coefficients": {
-                name: {"value": float(value), "u": float(u), "U": float(COVERAGE_FACTOR * u)}
-                for name, value, u in zip(COEFFICIENTS, table.vector[k], sizes, strict=True)
-            },
-        }
+
+def in_json(table: CoefficientTable) -> list[dict[str, Any]]:
+    """Return calibrations as `bench catalogue unit --json` writes them."""
+    return [_calibration(table, k) for k in range(len(table))]
+
+
+def _calibration(table: CoefficientTable, k: int) -> dict[str, Any]:
+    sizes = u_of(table.covariance[k])
+    return {
+        "path": table.path[k],
+        "created": f"{table.when[k].astype('datetime64[s]')}+00:00",
+        "bench": table.bench[k],
+        "unit": table.signal_unit[k],
+        "g_m_s2": float(table.g_m_s2[k]),
+        "coefficients": {
+            name: {"value": float(value), "u": float(u), "U": float(COVERAGE_FACTOR * u)}
+            for name, value, u in zip(COEFFICIENTS, table.vector[k], sizes, strict=True)
+        },
+    }
 
 
 def unit_history(
@@ -78,15 +83,28 @@ def unit_history(
     `limit_g` is the error allowed, by default the limit of its last verification. Raises `Refused` where none, or
     several, are of that name.
     """
-    name = _name_of(catalogue, unit)
+    name, table, simulated, notes = _calibrations_of(catalogue, unit)
     query = [f"unit={name}"]
-    table = coefficient_table(catalogue, query)
-    notes = [f"without {words}" for words in table.left_out]
-    table, simulated = _compared(table, notes)
     limit = limit_g if limit_g is not None else _limit_of(catalogue, query)
     found, why_not = _due_of(table, limit, interval_days or INTERVAL_DAYS, simulated=simulated)
     runs = answer(catalogue, query)
     return UnitHistory(name, runs, table, simulated, found, why_not, tuple(notes))
+
+
+def unit_calibrations(catalogue: Catalogue, unit: str) -> CoefficientTable:
+    """Return the calibrations of a unit that are compared, as in its history: what its figure needs.
+
+    Raises `Refused` where none, or several, are of that name.
+    """
+    return _calibrations_of(catalogue, unit)[1]
+
+
+def _calibrations_of(catalogue: Catalogue, unit: str) -> tuple[str, CoefficientTable, bool, list[str]]:
+    """Return the name of a unit, its calibrations, whether they are simulated, and what a reader should know."""
+    name = _name_of(catalogue, unit)
+    table = coefficient_table(catalogue, [f"unit={name}"])
+    notes = [f"without {words}" for words in table.left_out]
+    return name, *_compared(table, notes), notes
 
 
 def due_units(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -36,6 +37,12 @@ def calibrate(
     nominal_angles: NominalOption = False,
     join_free: JoinFreeOption = True,
     join_verification: JoinVerificationOption = False,
+    prior: Annotated[
+        Path | None,
+        typer.Option(
+            "--prior", metavar="FILE", help="What units of its type tell: a file of 'bench fleet prior'."
+        ),
+    ] = None,
     bench: BenchOption = None,
     model: ModelOption = None,
     g: GravityOption = None,
@@ -60,10 +67,12 @@ def calibrate(
             nominal_angles=nominal_angles,
             join_free=join_free,
             join_verification=join_verification,
+            prior=prior,
         )
         for source in loaded
     ]
     other = find_estimator(estimator).name != GLS or nominal_angles or not join_free or join_verification
+    other = other or prior is not None
     for result in results:
         what_if = other or result.source.what_if
         file = printing.write_result(result.source, "calibrate", result.to_dict(), what_if=what_if)

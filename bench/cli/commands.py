@@ -47,6 +47,8 @@ COMMANDS: Final = {
     "chart": "Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control.",
     "batch": "Compute many runs anew: what changes, which verdicts would be different; goes on where it stopped.",
     "compare": "What changed between calibrations of one block: E_n, a joint test, drift.",
+    "learn": "What many runs tell of one bench: its stand, noise, head; as a file that its bench file takes.",
+    "fleet": "Many units on many benches: is it the bench or the block? Equivalence, priors, drift, CMC.",
     "budget": "What each error of the bench contributes to the coefficients and to any measured acceleration.",
     "require": "How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now.",
     "plan-points": "Test points that reach an uncertainty in the least bench time, or the most in a given time.",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,6 @@ import typer
 
 from bench.api.errors import Refused
 from bench.base.numbers import fixed, places, probability
-from bench.base.regular import read_given
 from bench.cli import printing
 from bench.cli.options import (
     RUNS,
@@ -80,12 +78,13 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
     """
     from bench.analysis.history.comparison import Snapshot
     from bench.api.calibration import calibration_of
+    from bench.api.snapshots import date_of, snapshots_in
     from bench.api.source import load_sources
     from bench.run.manifest import MANIFEST
 
     path = Path(name)
     if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
-        return _from_json(path)
+        return snapshots_in(path)
     (source,) = load_sources(replace(request, sources=[name]))
     printing.bench_file(source.taken, json, name)
     taken.append({"source": name, **source.taken.to_dict()})
@@ -93,7 +92,7 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
     return [
         Snapshot(
             name,
-            _date(source.made_at, name),
+            date_of(source.made_at, name),
             source.block_name,
             result.unit,
             result.g_m_s2,
@@ -108,61 +107,14 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
     ]
 
 
-def _from_json(path: Path) -> list[Snapshot]:
-    from bench.base.whole import from_text
-
-    try:
-        data = from_text(read_given(path).decode())
-    except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except ValueError as error:
-        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
-    results = data if isinstance(data, list) else [data]
-    return [_from_result(result, path, k if len(results) > 1 else 0) for k, result in enumerate(results, 1)]
-
-
-def _from_result(data: Any, path: Path, number: int) -> Snapshot:
-    from bench.analysis.history.comparison import Snapshot
-    from bench.api.coefficients import coefficients_of
-
-    name = f"{path}, result {number}" if number else str(path)
-    found = coefficients_of(data, name)
-    block = data.get("unit_under_test")
-    if not isinstance(block, dict):
-        block = {}
-    return Snapshot(
-        name,
-        _date(data.get("made_at"), name),
-        f"{block.get('type', '')} {block.get('serial', '')}".strip(),
-        found.unit,
-        found.g_m_s2,
-        found.block.vector,
-        found.covariance,
-        found.simulated,
-        found.same_meters,
-        found.meters,
-        found.block_terms,
-        found.wander,
-    )
-
-
 def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
+    from bench.api.snapshots import date_of
+
     if len(dates) != len(snapshots):
         raise Refused(
             f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in their order"
         )
-    return [replace(s, when=_date(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
-
-
-def _date(text: str | None, where: str) -> datetime | None:
-    """Return a date as it is written (ISO 8601), in UTC where it names no zone."""
-    if not text:
-        return None
-    try:
-        date = datetime.fromisoformat(text)
-    except (ValueError, TypeError):
-        raise Refused(f"{where}: expected a date such as 2026-01-31, got {text!r}") from None
-    return date if date.tzinfo else date.replace(tzinfo=UTC)
+    return [replace(s, when=date_of(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
 
 
 def _print(result: Comparison, out: Console) -> None:

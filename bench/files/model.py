@@ -305,13 +305,7 @@ def write_model_file(
         content["evidence"] = {key: str(value) for key, value in evidence.items()}
     if dark_uncertainty is not None:
         content["dark_uncertainty"] = dark_uncertainty
-    formulas = written_formulas(applied.effect for applied in effects)
-    if formulas:
-        content["formulas"] = formulas
-    content["effects"] = [_written_effect(applied) for applied in effects if _is_whole(applied)]
-    left_open = [_written_left_open(applied) for applied in effects if not _is_whole(applied)]
-    if left_open:
-        content["left_open"] = left_open
+    content |= written_effects(effects)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -319,6 +313,19 @@ def write_model_file(
     except FileExistsError:
         problem = "this model file exists and is not overwritten; give another name"
         raise FileMistakes(path, [FileMistake(0, "", problem)]) from None
+
+
+def written_effects(effects: Sequence[AppliedEffect]) -> dict[str, Any]:
+    """Return effects as a file states them: `effects`, and `formulas` and `left_open` where there are any."""
+    content: dict[str, Any] = {}
+    formulas = written_formulas(applied.effect for applied in effects)
+    if formulas:
+        content["formulas"] = formulas
+    content["effects"] = [_written_effect(applied) for applied in effects if _is_whole(applied)]
+    left_open = [_written_left_open(applied) for applied in effects if not _is_whole(applied)]
+    if left_open:
+        content["left_open"] = left_open
+    return content
 
 
 def _is_whole(applied: AppliedEffect) -> bool:

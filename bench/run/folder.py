@@ -21,6 +21,7 @@ BENCH = "bench.yaml"
 PROCEDURE = "procedure.yaml"
 MODEL = "model.yaml"
 EFFECTS = "effects.yaml"
+LEARNED = "learned.yaml"
 IMPORTED = "readings.csv"
 VERIFY = "verify"
 

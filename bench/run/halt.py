@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature
@@ -10,7 +10,14 @@ from bench.run.answers import REASON, problem_with_answer
 from bench.run.control import OperatorWish, RunControl
 from bench.run.events import Event
 from bench.run.prompts import MOST_ATTEMPTS
-from bench.run.resume import Progress, first_of_pass, turn_before
+from bench.run.resume import (
+    Progress,
+    end_of_point,
+    first_of_pass,
+    last_of_pass,
+    latest_turn,
+    turn_before,
+)
 from bench.run.states import Wish
 from drivers.interfaces import BenchError, NoAnswer, Person, Prompt, PromptKind
 
@@ -96,23 +103,39 @@ def step_in_doubt(plan: Plan, doubt: Event) -> int:
     return doubt.step + 1
 
 
-def redo_from(plan: Plan, progress: Progress, wish: Wish, index: int) -> tuple[int, Mount | None] | None:
-    """Return the step from which a wish at step `index` has things taken again, and what is mounted before it.
+@dataclass(frozen=True)
+class Redo:
+    """The steps `first` to `last` that are taken again, and what is mounted before them, if anything."""
+
+    first: int
+    last: int
+    mount: Mount | None = None
+
+
+def redo_from(plan: Plan, progress: Progress, wish: Wish, index: int) -> Redo | None:
+    """Return what a wish at step `index` has taken again.
 
     None where no point was measured since the block was mounted.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
-    turn = turn_before(plan, after, progress.left_out)
+    in_turn = not progress.chosen or progress.doubt is not None
+    turn = turn_before(plan, after, progress.left_out) if in_turn else latest_turn(plan, progress, after)
     if turn == after:
         return None
+    last = index - 1
+    if progress.chosen:  # what stands between in the plan was measured before, and stays
+        own = end_of_point(plan, turn)
+        last = min(own, index) - 1 if turn < index else own - 1
     if wish is not Wish.REPEAT_POINT:
+        last = last_of_pass(plan, progress, turn) if progress.chosen else last
         turn = first_of_pass(plan, turn)
     found = _mounting_before(plan, turn) if wish is Wish.MOUNT_AGAIN else None
     if found is None:
-        return turn, None
+        return Redo(turn, last)
     mounted, step = found
     was_read = any(isinstance(plan.steps[i], Read) and i in progress.done for i in range(mounted, turn))
-    return (turn, step) if was_read else (mounted, None)  # with nothing read on it the mounting begins again
+    # with nothing read on it the mounting begins again
+    return Redo(turn, last, step) if was_read else Redo(mounted, last)
 
 
 def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:

@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Turn
+from bench.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.answers import OpenPrompt
 from bench.run.events import Event, EventType
 from bench.run.manifest import RecordError
@@ -214,6 +214,17 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
     return step
 
 
+def latest_turn(plan: Plan, progress: Progress, step: int) -> int:
+    """The turn that was begun last in time before `step`, with nothing mounted since; `step` where there is none.
+
+    Where points are chosen on the way, it may stand later in the plan.
+    """
+    begun = (i for i in progress.begun_s if i != step and i not in progress.left_out)
+    own = [i for i in begun if isinstance(plan.steps[i], Turn | _ENDS_A_POINT)]
+    latest = max(own, key=lambda i: (progress.begun_s[i], i), default=step)
+    return latest if isinstance(plan.steps[latest], Turn) else step
+
+
 def end_of_point(plan: Plan, step: int) -> int:
     """The step after the point that `step` belongs to."""
     for index in range(step + 1, len(plan.steps)):
@@ -224,15 +235,30 @@ def end_of_point(plan: Plan, step: int) -> int:
 
 def first_of_pass(plan: Plan, turn: int) -> int:
     """The first turn of the pass to which the turn at `turn` belongs."""
-
-    def place(index: int) -> tuple[int, str, int] | None:
-        step = plan.steps[index]
-        return (step.series, step.installation, step.pass_number) if isinstance(step, Turn) else None
-
     first = turn
     for index in range(turn, -1, -1):
         if isinstance(plan.steps[index], Mount | SetTemperature):
             break
-        if place(index) == place(turn):
+        if _is_of_pass(plan, turn, index):
             first = index
     return first
+
+
+def last_of_pass(plan: Plan, progress: Progress, turn: int) -> int:
+    """The last step of the points that were begun in the pass to which the turn at `turn` belongs."""
+    last = turn
+    for index in range(turn, len(plan.steps)):
+        if isinstance(plan.steps[index], Mount | SetTemperature):
+            break
+        if index in progress.begun_s and _is_of_pass(plan, turn, index):
+            last = index
+    return end_of_point(plan, last) - 1
+
+
+def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
+    """Whether a step is a turn of the pass to which the turn at `turn` belongs."""
+
+    def place(step: Step) -> tuple[int, str, int] | None:
+        return (step.series, step.installation, step.pass_number) if isinstance(step, Turn) else None
+
+    return place(plan.steps[index]) == place(plan.steps[turn])

@@ -367,13 +367,12 @@ class Runner:
         found = redo_from(self.plan, self.progress, control.wish, index)
         if found is None:
             return self._refuse(control, index, "no point was measured since the block was mounted")
-        turn, mount = found
         told = {"wish": control.wish.value, **control.who.to_json()}
-        self._emit(EventType.REDO, first=turn, last=index - 1, **told)
-        if mount is not None:
-            self._insist(partial(self._workbench.mount, mount))
-            self._emit_remounted(mount)
-        return turn
+        self._emit(EventType.REDO, first=found.first, last=found.last, **told)
+        if found.mount is not None:
+            self._insist(partial(self._workbench.mount, found.mount))
+            self._emit_remounted(found.mount)
+        return min(found.first, index)
 
     # --- steps ---------------------------------------------------------------------------------------
 

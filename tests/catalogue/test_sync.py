@@ -2,12 +2,14 @@
 
 import json
 import shutil
+from importlib.resources import files
 
 import pytest
-from sqlalchemy import func, select
+from sqlalchemy import func, inspect, select
 
 from bench.api.errors import Refused
 from bench.catalogue import schema
+from bench.catalogue.answers import answer
 from bench.catalogue.questions import run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
@@ -76,6 +78,65 @@ def test_a_second_sync_reads_only_what_changed(catalogue, tmp_path):
     assert count(catalogue, schema.CALIBRATIONS) == 3
 
 
+def test_nothing_is_written_where_nothing_changed(catalogue, tmp_path):
+    write_run(tmp_path / "runs" / "one")
+    (write_run(tmp_path / "runs" / "half") / "run.json").unlink()
+    sync(catalogue, [tmp_path / "runs"])
+    with catalogue.reading() as connection:
+        before = connection.exec_driver_sql("PRAGMA data_version").scalar_one()
+        sync(catalogue, [tmp_path / "runs"])
+        connection.rollback()
+        assert connection.exec_driver_sql("PRAGMA data_version").scalar_one() == before
+
+
+@pytest.mark.slow
+def test_many_folders_are_looked_into_by_processes(catalogue, tmp_path, monkeypatch):
+    write_run(tmp_path / "runs" / "0" / "own")
+    for k in range(6):
+        write_run(tmp_path / "runs" / f"year-{k}" / f"a{k}")
+    (tmp_path / "runs" / "half").mkdir()
+    (tmp_path / "runs" / "half" / "events.jsonl").touch()
+    alone = sync(catalogue, [tmp_path / "runs"], processes=1)
+    assert alone.added == 7
+    monkeypatch.setattr("bench.catalogue.sync.MANY", 3)
+    monkeypatch.setattr("bench.catalogue.sync.LOOKED", 2)
+    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**18))
+    apart = sync(catalogue, [tmp_path / "runs"], processes=2)
+    # a process of its own knows nothing of the time that this one takes files to settle in
+    assert (apart.added, apart.vanished, apart.problems) == (0, 0, alone.problems)
+    assert apart.changed + apart.unchanged == 7
+
+
+def test_an_older_catalogue_is_brought_up_to_date(tmp_path):
+    from alembic import command
+    from alembic.config import Config
+
+    write_run(tmp_path / "runs" / "one", verdict="fail")
+    file = tmp_path / "older.sqlite"
+    with open_catalogue(file) as catalogue:
+        sync(catalogue, [tmp_path / "runs"])
+        indexes = _indexes(catalogue)
+        config = Config()
+        config.set_main_option("script_location", str(files("bench.catalogue") / "migrations"))
+        with catalogue.writing() as connection:
+            config.attributes["connection"] = connection
+            command.downgrade(config, "0001")
+        assert _indexes(catalogue) != indexes
+    with open_catalogue(file) as catalogue:
+        assert _indexes(catalogue) == indexes
+        assert [(row[0], row[4]) for row in answer(catalogue, [], "units").rows] == [("block A 1", 1)]
+
+
+def _indexes(catalogue):
+    with catalogue.reading() as connection:
+        found = inspect(connection)
+        return {
+            i["name"]: i["column_names"]
+            for name in ("runs", "verifications")
+            for i in found.get_indexes(name)
+        }
+
+
 def test_a_moved_folder_is_the_same_run_and_one_that_is_gone_is_marked(catalogue, tmp_path):
     one, two = (write_run(tmp_path / "runs" / name) for name in ("one", "two"))
     sync(catalogue, [tmp_path / "runs"])
@@ -120,7 +181,10 @@ def test_bad_folders_are_listed_with_the_reason_and_stop_nothing(catalogue, tmp_
     assert "damaged" in reasons["torn"]
     assert "calibrate.json" in reasons["result"]
     assert done.added == 2
-    assert sync(catalogue, [runs]).problems == done.problems
+    for _ in range(2):
+        assert sync(catalogue, [runs]).problems == done.problems
+        listed = answer(catalogue, [], "folders").rows
+        assert {path.rsplit("/", 1)[1] for path, _ in listed} == {"foreign", "half", "result", "torn"}
 
 
 @pytest.mark.parametrize("line", [1, 2, 3])

@@ -133,3 +133,49 @@ def test_a_pause_typed_at_the_head_is_asked_how_to_go_on(tmp_path):
         "run_continued",
     ]
     assert [w[1].partition("@")[0] for w in bench.done if w[0] == "ask" and "pause" in w[1]] == ["pause"]
+
+
+class Chosen:
+    """Points 1 and 3 of installation 1 are chosen; after them point 2 is taken up again."""
+
+    def __init__(self):
+        self.place = {step.key: number for number, step in enumerate(PLAN.steps)}
+
+    def __call__(self, index, progress):
+        told = {"visit": 0, "stop": ""}
+        left = [[self.place["t12"], self.place["r12"]]]
+        if index == self.place["m1"] and not progress.chosen:
+            return {**told, "left_out": left, "next": {"first": index}}
+        if index == self.place["r13"] + 1 and len(progress.chosen) == 1:
+            return {**told, "left_out": [], "taken_up": left, "next": {"first": self.place["t12"]}}
+        return None
+
+
+@pytest.mark.parametrize(
+    ("after", "wish", "read"),
+    [
+        ("r13", Wish.REPEAT_POINT, ["r11", "r13", "r12", "r13"]),
+        ("t12", Wish.REPEAT_POINT, ["r11", "r13", "r12"]),
+        ("r12", Wish.REPEAT_POINT, ["r11", "r13", "r12", "r12"]),
+        ("r12", Wish.REPEAT_PASS, ["r11", "r13", "r12", "r11", "r12", "r13"]),
+    ],
+)
+def test_where_points_are_chosen_redo_takes_what_was_measured_last_in_time(tmp_path, after, wish, read):
+    heard = []
+
+    class Once:
+        def poll(self):
+            return RunControl(wish) if heard and heard.pop() else None
+
+    def see(event):
+        if event.type == "step_done" and event.data["key"] == after and event.data["attempt"] == 1:
+            heard.append(True)
+
+    record = new_record(tmp_path)
+    chooses = {"controls": Once(), "patience": VirtualClock(), "choose": Chosen(), "observers": [see]}
+    runner = make_runner(Bench(), record, **chooses)
+    runner.run()
+    record.close()
+    history, keys, _ = recorded(tmp_path / "run")
+    assert keys == [*read, "r21", "r22", "r23"]
+    assert len(history.readings) == 6

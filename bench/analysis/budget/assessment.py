@@ -34,13 +34,17 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """The budget with what follows from it; `exact` is None where no Monte Carlo was asked for."""
+    """The budget with what follows from it; `exact` is None where no Monte Carlo was asked for.
+
+    `beside` are further notes on where its sizes come from.
+    """
 
     budget: Budget
     question: Question
     accelerations: tuple[AtMagnitude, ...]
     points: tuple[DeltaG, ...]
     exact: ExactResult | None
+    beside: tuple[str, ...] = ()
 
     @property
     def capable(self) -> bool | None:
@@ -50,7 +54,7 @@ class Assessment:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the numbers must know."""
-        return tuple(self._notes())
+        return (*self._notes(), *self.beside)
 
     def _notes(self) -> Iterator[str]:
         priors = [c.source.name for c in self.budget.contributions if c.source.prior and c.source.u > 0.0]

@@ -15,7 +15,8 @@ import numpy as np
 from bench.analysis.calibration import gls, mistakes
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
-from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups
+from bench.analysis.calibration.known import KnownNoise, KnownStand
+from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, setting_limits
 from bench.analysis.calibration.repeats_likelihood import believed_sizes
 from bench.analysis.calibration.result import CalibrationError, Noise
 from bench.base.arrays import Floats, Ints, unit_vectors
@@ -60,12 +61,14 @@ def calibrate_batch(
     stand_u: Mapping[str, float],
     noise: Noise | None = None,
     resolution: float = 0.0,
+    known: KnownStand | None = None,
 ) -> Batch:
     """Estimate the coefficients of many units from `signals` (units, n, 3) at the same conditions.
 
     `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`, rad;
     every unit has angles of its own. The sizes of the noise are estimated for each unit from its repeats
-    unless given. Raises `CalibrationError` for a model with effects, signals that are no numbers or are alike,
+    unless given; `known` is what other runs told of stand and noise.
+    Raises `CalibrationError` for a model with effects, signals that are no numbers or are alike,
     readings that do not determine the coefficients, and too few repeats.
     """
     if model.effects:
@@ -82,14 +85,14 @@ def calibrate_batch(
             f"unit {int(np.argmax(bad)) + 1} of {len(signals)} has a signal that is not a number, or a channel "
             "that never changes; leave this unit out"
         )
-    shared = _Shared.of(make_problem(model, conditions, stand_u))
+    shared = _Shared.of(make_problem(model, conditions, stand_u, known=known))
     if noise is None and shared.freedom.sum() < LEAST_REPEATS:
         raise CalibrationError(
             f"many units at once: {int(shared.freedom.sum())} repeats tell too little of the noise; give its "
             "sizes, or calibrate one by one"
         )
     parts = [
-        _calibrate(shared, signals[first : first + CHUNK], noise, resolution)
+        _calibrate(shared, signals[first : first + CHUNK], noise, resolution, known.noise if known else None)
         for first in range(0, len(signals), CHUNK)
     ]
     coefficients, covariance, stand, reading, setting = (
@@ -145,20 +148,21 @@ class _Shared:
 
 
 def _calibrate(
-    shared: _Shared, signals: Floats, noise: Noise | None, resolution: float
+    shared: _Shared, signals: Floats, noise: Noise | None, resolution: float, known: KnownNoise | None
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     columns = linear_columns(shared.force)
     start = np.einsum("pn,uni->uip", np.linalg.pinv(columns), signals)
     K, U0 = start[:, :, :3], start[:, :, 3]
     _refuse_singular(K)
-    prior_u = shared.problem.prior_u
-    stand = np.zeros((len(signals), len(prior_u)))
+    stand = np.tile(shared.problem.prior_mean, (len(signals), 1))
     floor = np.maximum(gls.LEAST_NOISE * np.abs(signals).max(axis=(1, 2)), resolution / np.sqrt(12.0))
     for _ in range(STEPS):
         force = shared.forces(stand)
         left = signals - force @ np.swapaxes(K, 1, 2) - U0[:, None, :]
         slope = shared.by_angle @ np.swapaxes(K, 1, 2)
         reading, setting, dof = _sizes(shared, left, slope, noise, floor)
+        if known is not None and noise is None:
+            reading, setting, dof = _joined(known, shared, slope, reading, setting, dof)
         wider, wider_setting = reading * _widening(dof), setting * _widening(dof.mean(axis=1))
         step, covariance = _step(shared, K, force, left, slope, wider, wider_setting, stand)
         K, U0 = K + step[:, :9].reshape(-1, 3, 3), U0 + step[:, 9:FIXED]
@@ -193,6 +197,27 @@ def _sizes(
     return np.sqrt(found.variances[:, :3]), np.sqrt(found.variances[:, 3]), found.dof
 
 
+def _joined(
+    known: KnownNoise, shared: _Shared, slope: Floats, reading: Floats, setting: Floats, dof: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return the sizes with what other runs told of them, as one calibration alone has them."""
+    settings = int(shared.freedom.sum())
+    slope2 = np.einsum("uni,uni->u", slope, slope) / slope.shape[1]
+    reading, setting, dof = reading.copy(), setting.copy(), dof.copy()
+    for i, (size, angle, freedom) in enumerate(
+        zip(reading.copy(), setting.tolist(), dof.copy(), strict=True)
+    ):
+        whole = float(np.sqrt(np.mean(size**2)))
+        own = Noise(
+            whole, angle, 3.0 * settings, "repeats", setting_limits(whole, angle, float(slope2[i]), settings),
+            tuple(size.tolist()), tuple(freedom.tolist()),
+        )  # fmt: skip
+        both = known.joined(own)
+        reading[i], setting[i] = both.by_channel, both.setting_rad
+        dof[i] = both.channel_dof or freedom
+    return reading, setting, dof
+
+
 def _widening(dof: Floats) -> Floats:
     """By how much sizes that are estimates enter larger, as `result.widening`."""
     nu = np.maximum(dof, 4.0)
@@ -208,13 +233,15 @@ def _step(
     By normal equations, channels over their noise: R^-1 = I - w d d^T, w = sigma_phi^2/(1 + sigma_phi^2 |d|^2).
     """
     units, n = left.shape[:2]
-    prior_u = shared.problem.prior_u
-    q = len(prior_u)
+    problem = shared.problem
+    q = len(problem.prior_u)
+    # the angles as independent parts of unit u of their priors
+    root = problem.by_prior(np.eye(q))
     columns = np.zeros((units, n, 3, FIXED + q))
     for channel in range(3):
         columns[:, :, channel, 3 * channel : 3 * channel + 3] = force
         columns[:, :, channel, 9 + channel] = 1.0
-    by_stand = shared.by_stand.transpose(1, 0, 2).reshape(3, -1) * np.tile(prior_u, n)
+    by_stand = (shared.by_stand.transpose(1, 0, 2) @ root).reshape(3, -1)
     columns[:, :, :, FIXED:] = (K @ by_stand).reshape(units, 3, n, q).transpose(0, 2, 1, 3)
     columns, left = columns / reading[:, None, :, None], left / reading[:, None, :]
     slope = slope / reading[:, None, :]
@@ -227,8 +254,8 @@ def _step(
     right = (turned @ left.reshape(units, 3 * n, 1) - turned_along @ along_left[:, :, None])[:, :, 0]
     places = np.arange(FIXED, FIXED + q)
     normal[:, places, places] += 1.0
-    right[:, FIXED:] -= stand / prior_u
+    right[:, FIXED:] -= np.linalg.solve(root, (stand - problem.prior_mean).T).T if q else 0.0
     covariance = np.linalg.inv(normal)
     step = (covariance @ right[:, :, None])[:, :, 0]
-    step[:, FIXED:] *= prior_u
+    step[:, FIXED:] = step[:, FIXED:] @ root.T
     return step, covariance[:, :FIXED, :FIXED]

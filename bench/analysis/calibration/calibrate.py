@@ -16,6 +16,7 @@ from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_pro
 from bench.analysis.calibration.estimator import Estimator, Task
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
+from bench.analysis.calibration.known import KnownStand
 from bench.analysis.calibration.linear import linear_estimate
 from bench.analysis.calibration.noise_notes import notes_on_noise
 from bench.analysis.calibration.outliers import Chosen
@@ -50,6 +51,7 @@ def calibrate(
     join_free: bool = True,
     join_verification: bool = False,
     find_shared: bool = True,
+    known: KnownStand | None = None,
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
@@ -59,7 +61,8 @@ def calibrate(
     local g, stated as `g_m_s2`. With `nominal_angles` the targets stand in for the angles read back. Free
     positions join the oriented rows by |a| = 1 g unless `join_free` is false, verification points where
     `join_verification` says so, for they are the independent check. Where there are free positions alone K is
-    upper triangular by convention. Without `find_shared` the noise is taken as fresh in every reading.
+    upper triangular by convention. Without `find_shared` the noise is taken as fresh in every reading. `known` is
+    what other runs of the bench told of its stand and noise, in place of `stand_u` and beside the repeats.
     Raises `CalibrationError` when the readings do not determine the coefficients, or hold a mistake.
     """
     by = find_estimator(estimator)
@@ -70,11 +73,14 @@ def calibrate(
     conditions = rows.conditions()
     if by.angles_rad is not None:
         conditions = replace(conditions, angle_rad=by.angles_rad(rows))
-    assumed = dict(assumed_u or {})
-    problem = make_problem(model, conditions, {**stand_u, **assumed}, _free_rows(chosen, readings))
+    assumed = _left_assumed(assumed_u or {}, known)
+    problem = make_problem(
+        model, conditions, {**stand_u, **(assumed_u or {})}, _free_rows(chosen, readings), known
+    )
     resolution = (rows if len(rows) else chosen.free).resolution
     start = first_guess(problem, rows.signal, resolution)
-    refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
+    of_noise = None if known is None else known.noise
+    refit = partial(gls.fit, problem, rows.signal, start, noise, resolution, known=of_noise)
     fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
     fit_test = gls.lack_of_fit(problem, fit)
     tails = heavy_tails(problem, fit)
@@ -121,6 +127,12 @@ def calibrate(
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
         angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
     )
+
+
+def _left_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:
+    """Return the angles whose sizes nobody stated and no other run told."""
+    told = set() if known is None else {name for name, _ in known.keys}
+    return {name: u for name, u in assumed_u.items() if name not in told}
 
 
 # --- rows -------------------------------------------------------------------------------------------

@@ -288,7 +288,7 @@ def _mixed(problem: Problem, fit: Fit, Z: list[Floats]) -> Mixed:
     fixed = rows.shape[1] - len(others)
     y = np.concatenate([system.left.ravel(), system.free.left])
     y = y + rows[:, fixed:] @ (others - problem.prior_mean)
-    scaled = rows[:, fixed:] * problem.prior_u
+    scaled = problem.by_prior(rows[:, fixed:])
     return Mixed(y, rows[:, :fixed], tuple(Z), scaled @ scaled.T)
 
 

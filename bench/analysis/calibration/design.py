@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from bench.analysis.calibration.known import KnownStand
 from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.model.block import Block
 from bench.model.conditions import Conditions
@@ -94,7 +95,8 @@ class Problem:
     """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
 
     `free` are readings that join by the modulus alone; `upper` fixes K as upper triangular, which a fit to
-    free readings alone needs.
+    free readings alone needs. `hang` (q, q) is the lower root of the correlation of the priors, None where each
+    stands by itself.
     """
 
     model: ForwardModel
@@ -103,6 +105,7 @@ class Problem:
     effects: tuple[EffectUnknown, ...]
     free: FreeRows | None = None
     upper: bool = False
+    hang: Floats | None = None
 
     @property
     def active(self) -> Ints:
@@ -118,6 +121,22 @@ class Problem:
     def prior_u(self) -> Floats:
         """Prior standard deviations of the unknowns after the coefficients, shape (q,)."""
         return np.array([*(s.prior_u for s in self.stand), *(e.prior_u for e in self.effects)])
+
+    @property
+    def prior_rows(self) -> Floats:
+        """What makes of unknowns over their prior u independent ones of unit u, shape (q, q)."""
+        q = len(self.stand) + len(self.effects)
+        return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
+
+    def pulls(self, others: Floats) -> Floats:
+        """Return how far unknowns (q,) are from their priors, in independent parts of unit u, shape (q,)."""
+        off = (others - self.prior_mean) / self.prior_u
+        return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
+
+    def by_prior(self, columns: Floats) -> Floats:
+        """Return derivatives (..., q) by unknowns as those by independent parts of unit u of their priors."""
+        scaled = columns * self.prior_u
+        return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
     def names(self) -> list[str]:
         """Names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
@@ -290,7 +309,11 @@ def coefficient_columns(force: Floats) -> Floats:
 
 
 def make_problem(
-    model: ForwardModel, conditions: Conditions, stand_u: Mapping[str, float], free: FreeRows | None = None
+    model: ForwardModel,
+    conditions: Conditions,
+    stand_u: Mapping[str, float],
+    free: FreeRows | None = None,
+    known: KnownStand | None = None,
 ) -> Problem:
     """Set up the unknowns: a stand angle is one where its size is not zero, an effect's sizes all are.
 
@@ -300,7 +323,8 @@ def make_problem(
     `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad. The prior of an effect's
     parameter lies about the value in the model with the standard uncertainty stated there, which must come
     from other readings than those to be fitted; where none (or zero) is stated, with `WEAK` times the
-    catalogue's plausible size.
+    catalogue's plausible size. `known` is what other runs told of the stand's angles: it stands in place of
+    `stand_u`, where no level showed the angle.
     """
     levels = conditions.levels()
     stand = tuple(
@@ -314,7 +338,25 @@ def make_problem(
     effects = [
         unknown for index, applied in enumerate(model.effects) for unknown in _effect_unknowns(index, applied)
     ]
-    return Problem(model, conditions, stand, tuple(effects), free, upper=len(conditions) == 0)
+    problem = Problem(model, conditions, stand, tuple(effects), free, upper=len(conditions) == 0)
+    return problem if known is None else _with_known(problem, known)
+
+
+def _with_known(problem: Problem, known: KnownStand) -> Problem:
+    """Return the problem with the priors of angles that no level showed as they are known."""
+    stand, mounts = problem.stand, problem.conditions.mounts
+    told = [j for j, unknown in enumerate(stand) if not unknown.measured]
+    if not told:
+        return problem
+    pairs = [(STAND_ANGLES[stand[j].column], mounts[stand[j].mount].installation) for j in told]
+    mean, covariance = known.prior(pairs, np.array([stand[j].prior_u for j in told]))
+    u = np.sqrt(np.diag(covariance))
+    changed = list(stand)
+    for j, m, size in zip(told, mean.tolist(), u.tolist(), strict=True):
+        changed[j] = replace(stand[j], prior_u=size, prior_mean=m)
+    correlation = np.eye(len(stand) + len(problem.effects))
+    correlation[np.ix_(told, told)] = covariance / np.outer(u, u)
+    return replace(problem, stand=tuple(changed), hang=np.asarray(np.linalg.cholesky(correlation)))
 
 
 def _effect_unknowns(index: int, applied: AppliedEffect) -> list[EffectUnknown]:

@@ -17,6 +17,7 @@ from scipy import linalg, special
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem
 from bench.analysis.calibration.estimator import Estimator
 from bench.analysis.calibration.free import NO_MODULI, Modulus, modulus_rows
+from bench.analysis.calibration.known import KnownNoise
 from bench.analysis.calibration.noise import (
     LEAST_REPEATS,
     RepeatedNoise,
@@ -98,12 +99,14 @@ def fit(
     shifts: tuple[Shift, ...] = (),
     *,
     one_size: bool = False,
+    known: KnownNoise | None = None,
 ) -> Fit:
     """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
 
     Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
     Each of `shifts` is an unknown more, of which nothing is known before. With `one_size` the channels have noise
-    of one size, without each its own where they differ. Raises `CalibrationError` where the fit does not come to
+    of one size, without each its own where they differ. `known` is what
+    other runs told of the noise. Raises `CalibrationError` where the fit does not come to
     rest.
     """
     block, others = start, problem.prior_mean
@@ -119,6 +122,7 @@ def fit(
             sizes = repeats.sizes(system.left, system.slope) or estimate_noise(
                 problem, system, groups, others, floor
             )
+            sizes = sizes if known is None else known.joined(sizes)
         own = solve(problem, system, sizes.widened(), others)
         step = np.zeros(FIXED + len(others))
         step[places.unknowns] = own.step[places.own]
@@ -207,8 +211,8 @@ def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
     whitened = linalg.solve_triangular(lower, np.column_stack([rows, target]), lower=True)
     scale = np.concatenate([np.ones(p - len(others)), problem.prior_u])
     prior = np.zeros((len(others), p + 1))
-    prior[:, p - len(others) : p] = np.eye(len(others))
-    prior[:, p] = (problem.prior_mean - others) / problem.prior_u
+    prior[:, p - len(others) : p] = problem.prior_rows
+    prior[:, p] = -problem.pulls(others)
     scaled = np.concatenate([whitened[:, :p] * scale, prior[:, :p]])
     q, r = np.linalg.qr(scaled)
     inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
@@ -261,8 +265,7 @@ def _result(
     kept = system.left - system.jacobian[:, :, places.shifts] @ shift
     kept_free = system.free.left - system.free.jacobian[:, places.shifts] @ shift
     whitened = whiten(kept[:, :, None], system.slope, sizes)
-    pulls = (others - problem.prior_mean) / problem.prior_u
-    misfit = np.sum(whitened**2) + np.sum(pulls**2)
+    misfit = np.sum(whitened**2) + np.sum(problem.pulls(others) ** 2)
     misfit += np.sum((kept_free / system.free.noise(sizes)) ** 2)
     whole, whole_gain = np.zeros((FIXED + len(others),) * 2), np.zeros((FIXED + len(others), gain.shape[1]))
     whole[np.ix_(places.unknowns, places.unknowns)] = covariance[np.ix_(places.own, places.own)]
@@ -289,13 +292,13 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
     fixed = system.jacobian.shape[2] - len(others)
     whole = left + system.jacobian[:, :, fixed:] @ (others - problem.prior_mean)
     scaled = system.jacobian.copy()
-    scaled[:, :, fixed:] *= problem.prior_u
+    scaled[:, :, fixed:] = problem.by_prior(scaled[:, :, fixed:])
     if not len(free.left):
         return noise_from_residuals(whole, scaled, slope, fixed, floor)
     own = np.column_stack(
         [free.jacobian, free.left + free.jacobian[:, fixed:] @ (others - problem.prior_mean)]
     )
-    own[:, fixed:-1] *= problem.prior_u
+    own[:, fixed:-1] = problem.by_prior(own[:, fixed:-1])
     alike = np.linalg.norm(free.by_signal, axis=1)
     return noise_from_residuals(whole, scaled, slope, fixed, floor, own / alike[:, None])
 
@@ -339,11 +342,11 @@ def whitened_rows(
     """
     n, _, p = system.jacobian.shape
     free = system.free
-    prior_u, prior_mean = problem.prior_u, problem.prior_mean
+    prior_u = problem.prior_u
     fixed = p - len(prior_u)
     scale = np.concatenate([np.ones(fixed), prior_u])
     prior_rows = np.zeros((p - fixed, p))
-    prior_rows[:, fixed:] = np.eye(p - fixed)
+    prior_rows[:, fixed:] = problem.prior_rows
     columns = np.concatenate([system.jacobian, system.left[:, :, None]], axis=2)
     both = whiten(columns, system.slope, noise).reshape(3 * n, p + 1)
     blocks, targets = [both[:, :p] * scale], [both[:, p]]
@@ -352,7 +355,7 @@ def whitened_rows(
         blocks.append(free.jacobian * scale / size[:, None])
         targets.append(free.left / size)
     blocks.append(prior_rows)
-    targets.append((prior_mean - others) / prior_u)
+    targets.append(-problem.pulls(others))
     return np.vstack(blocks), np.concatenate(targets), scale
 
 

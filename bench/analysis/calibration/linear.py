@@ -49,7 +49,7 @@ def linear_estimate(
     of_noise = flat @ flat.T + along @ along.T
     if shared is not None:
         of_noise = gain.reshape(FIXED, -1) @ shared @ gain.reshape(FIXED, -1).T
-    columns = problem.jacobian(block, others)[:, :, FIXED:] * problem.prior_u
+    columns = problem.by_prior(problem.jacobian(block, others)[:, :, FIXED:])
     fixed = np.einsum("pni,niq->pq", gain, columns)
     covariance = of_noise + fixed @ fixed.T
     residuals = signal - problem.predict(block, others)

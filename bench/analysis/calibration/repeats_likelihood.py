@@ -111,7 +111,7 @@ def believed_sizes(
     if len(own):
         at_least = np.broadcast_to(floor, (count,))[own]
         variances[own] = sizes_of(scatter[own], freedom, slope[own], at_least, OWN, variances[own])
-        dof[own] = freedom_of(freedom, slope[own], variances[own])
+        dof[own] = freedom_of(freedom, slope[own], variances[own])[:, :3]
     return Sizes(variances, dof, p)
 
 
@@ -133,7 +133,7 @@ def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Flo
 
 
 def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats) -> Floats:
-    """Return the degrees of freedom of the variances of x, y, z (runs, 3) for `variances` (runs, 4).
+    """Return the degrees of freedom of the variances (runs, 4) of x, y, z and the setting, shape (runs, 4).
 
     2 v^2/var(v) with var(v) from the information on all four: what the setting error takes is left out.
     """
@@ -143,7 +143,7 @@ def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats) -> Floa
     # what no slope shows, or lies at its lower end, takes nothing from the others
     scaled[:, places, places] += 1e-9 * scaled.max(axis=(1, 2))[:, None]
     inverted = np.linalg.inv(scaled)
-    return np.asarray(1.0 / np.einsum("rii->ri", inverted)[:, :3])
+    return np.asarray(1.0 / np.einsum("rii->ri", inverted))
 
 
 @dataclass(frozen=True)

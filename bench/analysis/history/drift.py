@@ -3,7 +3,7 @@
 Each coefficient by itself: value = level + rate · time + random walk + scatter between calibrations + the error of
 the calibration, of its stated u. The sizes of walk and scatter are found by restricted maximum likelihood; few
 calibrations leave them open, so that u of a rate and of an expected value averages over all sizes that the
-likelihood leaves, with half-t priors of three degrees of freedom on both, as wide as the scatter and u.
+likelihood leaves, with half-t priors of three degrees of freedom on both, wider than the scatter and u show.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (the likelihood); P. de Jong, Ann. Statist. 19 (1991)
 1073 (filter with fixed effects); A. Gelman, Bayesian Analysis 1 (2006) 515 (priors of sizes).
 """
@@ -33,6 +33,8 @@ LEAST_SIZE: Final = 0.02
 """Sizes below this part of their scale are as good as none."""
 MOST_SIZE: Final = 30.0
 PRIOR_DOF: Final = 3.0
+PRIOR_WIDTH: Final = (1.0, 4.0)
+"""Of the priors of scatter and walk, in their scales: what is left of a walk about a line is a part of it."""
 FORGOTTEN: Final = 12.0
 """Sizes whose logarithmic density is so far below the greatest do not count."""
 LEVEL: Final = 0.95
@@ -227,7 +229,10 @@ class _History:
         line = np.einsum("kmce,kme->kmc", covariance, squares[:, :, 1:, 0])
         misfit = squares[:, :, 0, 0] - np.einsum("kmc,kmc->km", line, squares[:, :, 1:, 0])
         likelihood = -0.5 * (logs + np.linalg.slogdet(precision)[1] + misfit)
-        prior = [-0.5 * (PRIOR_DOF + 1) * np.log1p(np.exp(2 * n) / PRIOR_DOF) + n for n in nodes]
+        prior = [
+            n - 0.5 * (PRIOR_DOF + 1) * np.log1p(np.exp(2 * n) / (PRIOR_DOF * width**2))
+            for n, width in zip(nodes, PRIOR_WIDTH, strict=True)
+        ]
         shape = (self.y.shape[1], GRID, GRID)
         density = likelihood.reshape(shape) + prior[0][:, :, None] + prior[1][:, None, :]
         heights = np.exp(density - density.max(axis=(1, 2), keepdims=True)).reshape(tau.shape)

@@ -116,14 +116,7 @@ def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
     limits = np.array(
         [[most(one, j) if j == EXCESS or several else np.nan for j in (EXCESS, BENCH)] for one in found]
     )
-    unknown = [
-        name for name, own, limit in zip(COEFFICIENTS, stated[-1], limits[:, 0], strict=True) if limit > own
-    ]
-    notes = []
-    if unknown:
-        notes.append(
-            f"{', '.join(unknown)}: what calibrations of a unit scatter by may exceed every stated uncertainty"
-        )
+    notes = ["scatter over time has in it what the units drift by from one calibration to the next"]
     if not several:
         notes.append("one bench alone: what another would differ by is not in it")
     shown = Capability(

@@ -166,6 +166,8 @@ def _between(means: Floats, of_means: Floats) -> tuple[Floats, Floats, float]:
     off = ~np.eye(len(scale), dtype=bool)
     spread = np.sum((1.0 - correlation[off] ** 2) ** 2) / (m - 1)
     shrunk = float(min(1.0, spread / max(float(np.sum(correlation[off] ** 2)), 1e-12)))
+    # twelve degrees of freedom for no correlation: few units have some directions too narrow by chance
+    shrunk = max(shrunk, len(scale) / (m - 1 + len(scale)))
     own_scale = np.sqrt(np.where(shown > 0, shown, 1.0))
     between = _positive(raw / np.outer(own_scale, own_scale) * np.outer(shown > 0, shown > 0))
     size = np.sqrt(np.maximum(np.diag(between), 1e-12))

@@ -65,6 +65,7 @@ class BenchFile(FileModel):
     check_block: CheckBlockSection | None = None
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
+    learned: str | None = None
     simulation: SimulationSection = SimulationSection()
 
     @field_validator("line_frequency")

@@ -89,9 +89,12 @@ def _history(where: str, unit: str) -> UnitHistory:
 
 
 def _figure(where: str, unit: str) -> str:
+    from bench.catalogue.store import open_catalogue
+    from bench.catalogue.unit import in_json, unit_calibrations
     from bench.report.unit import unit_file
 
-    calibrations = _history(where, unit).to_json()["calibrations"]
+    with open_catalogue(where, existing=True) as catalogue:
+        calibrations = in_json(unit_calibrations(catalogue, unit))
     if not calibrations:
         raise Refusal(404, f"{unit}: no calibration to draw")
     return unit_file(calibrations)

@@ -44,7 +44,7 @@ def test_sizes_are_right_on_the_average_and_as_uncertain_as_their_freedom_says()
     """Seed 32, 400 runs. Four standard errors of mean and of variance."""
     scatter, freedom, slope = drawn(32, 400)
     found = sizes_of(scatter, freedom, slope, 1e-9, OWN)[:, :3] / SIZES**2
-    dof = freedom_of(freedom, slope, np.repeat([[*SIZES**2, SETTING**2]], 400, axis=0))[0]
+    dof = freedom_of(freedom, slope, np.repeat([[*SIZES**2, SETTING**2]], 400, axis=0))[0, :3]
     np.testing.assert_allclose(found.mean(axis=0), 1.0, atol=4 * np.sqrt(2 / dof.min() / 400))
     np.testing.assert_allclose(found.var(axis=0) / (2 / dof), 1.0, atol=4 * np.sqrt(2.5 / 400) + 0.1)
 

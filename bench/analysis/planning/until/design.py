@@ -54,6 +54,17 @@ class Visits(ExchangeDesign):
     The noise is told by repeats as soon as there are enough of them, as a calibration has it.
     """
 
+    _known: tuple[bytes, Floats] | None = None
+
+    def covariance(self, counts: Floats | Ints | None = None) -> Floats:
+        """As its base has it; that of the visits as they stand is kept until one changes."""
+        if counts is not None:
+            return super().covariance(counts)
+        key = self.counts.tobytes()
+        if self._known is None or self._known[0] != key:
+            self._known = key, super().covariance()
+        return self._known[1]
+
     def _variances(self, covariance: Floats) -> Floats:
         """As its base has it, without looking for an order of the products each time."""
         own = covariance[:FIXED, :FIXED]

@@ -1,0 +1,84 @@
+"""What was learned of a bench, as an evaluation takes it: the stand's angles, the noise, effects of the bench.
+
+Never by a run that is among those behind it, nor after its day, nor for signals in another unit.
+"""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from bench.analysis.calibration.known import KnownNoise, KnownStand
+from bench.files.bench.learned import LearnedFile
+from bench.model import AppliedEffect, Effect
+
+SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
+
+
+@dataclass(frozen=True)
+class LearnedTaken:
+    """What an evaluation takes of a learned file, with notes; nothing where the file does not count for it."""
+
+    known: KnownStand | None = None
+    effects: tuple[AppliedEffect, ...] = ()
+    own: tuple[Effect, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+NOTHING: Final = LearnedTaken()
+
+
+def take_learned(
+    file: LearnedFile | None,
+    day: datetime.date,
+    unit: str,
+    *,
+    head: str = "",
+    hashes: tuple[str, ...] = (),
+    simulated: bool | None = None,
+) -> LearnedTaken:
+    """Return what counts of a file for readings of a day in a unit, of a record with this head and these hashes.
+
+    `simulated` says whether the readings are, None where nobody does or there are none.
+    """
+    if file is None:
+        return NOTHING
+    told = f"what was learned of bench {file.bench} from {len(file.runs)} runs ({file.made})"
+    if file.has(head, hashes):
+        why = "these readings are among them, and would count twice"
+    elif file.expired(day):
+        why = f"it expired on {file.expires}; learn anew"
+    elif simulated is False and file.simulated:
+        why = "it comes from simulated runs, and these readings do not"
+    else:
+        notes = [f"{told} stands in place of the stated limits of the stand"]
+        if simulated and not file.simulated:
+            notes.append("these readings are simulated, what was learned is not")
+        known = _known(file, unit)
+        if known.noise is None:
+            notes.append(
+                f"the learned noise is in {file.noise.unit}, these readings in {unit}: it does not count"
+            )
+        return LearnedTaken(known, file.applied_effects(), file.own_effects(), tuple(notes))
+    return LearnedTaken(notes=(f"{told} is not used: {why}; the stated limits count",))
+
+
+def _known(file: LearnedFile, unit: str) -> KnownStand:
+    stand, noise = file.stand, file.noise
+    sizes = None
+    if noise.unit == unit:
+        channels = (noise.x, noise.y, noise.z)
+        sizes = KnownNoise(
+            np.array([one.size for one in channels]), np.array([one.dof for one in channels]),
+            noise.setting.size, noise.setting.dof,
+        )  # fmt: skip
+    return KnownStand(
+        tuple((mean.angle, mean.installation) for mean in stand.means),
+        np.array([mean.value for mean in stand.means]),
+        stand.covariance,
+        dict(stand.remount.items()),
+        sizes,
+    )
