@@ -62,7 +62,8 @@ def no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     Those of `tests/report` and the tests marked `figures` draw them.
     """
     if "bench" in request.fixturenames and request.node.get_closest_marker("figures") is None:
-        monkeypatch.setattr("bench.report.plots.svg_file", lambda name, inches, draw: EMPTY_FIGURE)
+        # beneath what other modules import by name: one imported now would keep the empty one for ever
+        monkeypatch.setattr("bench.report.plots._written", lambda name, inches, draw: EMPTY_FIGURE)
 
 
 EMPTY_FIGURE = '<svg viewBox="0 0 1 1"></svg>'

@@ -337,6 +337,10 @@ def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]
 
 def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
     """Draw a figure and return the text of an SVG file that stands alone."""
+    return _written(name, inches, draw)
+
+
+def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
     text = io.StringIO()
     with drawn(name, inches, draw) as figure:
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
