@@ -284,4 +284,5 @@ def _print_due(told: list[dict[str, Any]], on: Any) -> None:
         on.print(table)
     more = len(told) - ON_SCREEN
     rest = f"; {more} more are not shown: --json FILE has all" if more > 0 else ""
-    on.print(f"{len(told)} units due{rest}", style="bold")
+    counted = "1 unit" if len(told) == 1 else f"{len(told)} units"
+    on.print(f"{counted} due{rest}", style="bold")
