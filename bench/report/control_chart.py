@@ -126,11 +126,11 @@ def _coefficient(axes: Axes, chart: Any, k: int, along: Floats, shown: slice, si
     limit = chart.limit_single * own.u[shown, k] / size
     value = own.deviation[shown, k] / size
     axes.axhline(0.0, color=GREY, linewidth=0.7)
-    axes.plot(along, limit, color=VERMILION, linewidth=0.8)
-    axes.plot(along, -limit, color=VERMILION, linewidth=0.8)
+    _level(axes, along, limit, color=VERMILION, linewidth=0.8)
+    _level(axes, along, -limit, color=VERMILION, linewidth=0.8)
     near = chart.limit_single_ewma * smoothed.u[shown, k] / size
-    axes.plot(along, near, color=GREY, linewidth=0.8, linestyle="--")
-    axes.plot(along, -near, color=GREY, linewidth=0.8, linestyle="--")
+    _level(axes, along, near, color=GREY, linewidth=0.8, linestyle="--")
+    _level(axes, along, -near, color=GREY, linewidth=0.8, linestyle="--")
     axes.plot(along, smoothed.deviation[shown, k] / size, color=GREY, linewidth=1.2)
     beyond = np.abs(own.z[shown, k]) > chart.limit_single
     axes.plot(along[~beyond], value[~beyond], "o", color=BLUE, markersize=3)
@@ -142,8 +142,13 @@ def _panel(axes: Axes, along: Floats, values: Floats, limits: Floats) -> None:
     axes.plot(along, values, color=GREY, linewidth=0.7)
     axes.plot(along[~beyond], values[~beyond], "o", color=BLUE, markersize=4)
     axes.plot(along[beyond], values[beyond], "X", color=VERMILION, markersize=6)
-    axes.plot(along, limits, color=VERMILION, linewidth=1.0)
+    _level(axes, along, limits, color=VERMILION, linewidth=1.0)
     axes.set_ylim(bottom=0.0)
+
+
+def _level(axes: Axes, along: Floats, level: Floats, **style: Any) -> None:
+    """Draw a limit half a run to either side of each, so that a single run has one to be seen, too."""
+    axes.plot(np.column_stack((along - 0.5, along + 0.5)).ravel(), np.repeat(level, 2), **style)
 
 
 def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
