@@ -74,7 +74,8 @@ def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
                 coefficient_goals({name: (asked := quantity("--until", size, unit))})
                 sizes[combined][name] = asked
         except Refused as mistake:
-            mistakes.append(mistake.typed)
+            said = mistake.typed
+            mistakes.append(said if text in said else f"--until {text}: {said.removeprefix('--until ')}")
         except CalibrationError as mistake:
             mistakes.append(f"--until {text}: {mistake}")
     if mistakes:
