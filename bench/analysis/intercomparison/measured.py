@@ -78,8 +78,3 @@ def coded(labels: Sequence[str] | Labels) -> tuple[Labels, Ints]:
     """Return the different labels, sorted, and which of them each is, counted from 0."""
     names, codes = np.unique(np.asarray(labels, dtype=str), return_inverse=True)
     return names, codes.astype(np.int64)
-
-
-def told_of(values: Floats) -> dict[str, float]:
-    """Return values (12,) by the names of the coefficients."""
-    return dict(zip(COEFFICIENTS, values.tolist(), strict=True))
