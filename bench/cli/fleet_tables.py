@@ -141,14 +141,16 @@ def capability(found: Capability, out: Console) -> None:
         f"to {c['last']}; stated u that {100 * found.quantile:.0f} % of them reach, with what it has not in it"
     )
     shown = printing.table(
-        "coefficient", ">U (k=2)", ">stated u", ">scatter over time", ">between benches", ">state less"
-    )
+        "coefficient", ">U (k=2)", ">stated u", ">scatter over time", ">at most", ">between benches", ">state less",
+        "",
+    )  # fmt: skip
     for k, name in enumerate(COEFFICIENTS):
         per = "" if name.startswith("U0") else "/g"
         between = float(found.bench[k])
         shown.add_row(
             name, quantity(float(found.U[k]), found.signal) + per, quantity(float(found.stated[k]), found.signal),
-            quantity(float(found.scatter[k]), found.signal),
+            quantity(float(found.scatter[k]), found.signal), quantity(found.apart[k].scatter_most, found.signal),
             "–" if math.isnan(between) else quantity(between, found.signal), f"{found.below[k]:.0f}",
+            "units drift" if found.apart[k].shown else "",
         )  # fmt: skip
     out.print(shown)
