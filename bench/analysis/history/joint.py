@@ -42,7 +42,8 @@ class Joint:
     """The covariance of all twelve coefficients of n calibrations, in its parts.
 
     `own` (n, 12, 12) belongs to each alone; `meters` (n, 12, 12) are roots of what meters bring, correlated by
-    `alike` (n, n); `terms` (n, 12, q) are what K2 and K3 of a block bring to all its calibrations, `block` (n,) which.
+    `alike` (n, n); `terms` (n, 12, q) are what K2 and K3 of a block bring to all its calibrations; `block` (n,)
+    tells which.
     """
 
     own: Floats
