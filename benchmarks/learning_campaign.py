@@ -12,8 +12,8 @@ u is <= 10 % lie within 20 % of the truth; of the others |z| <= 2 in >= 93 %. `-
 a drift of its own: how often it is named, and the z of the bench's sizes then. `--next` calibrates so many further
 blocks of each bench in installations 1 and 2 with what was learned (benches without a wave of the head then, so
 that one model serves with and without; promised: rms z 0.93 to 1.07), and compares u with and without.
-`--exchange` gives each bench one block, measured so often with its three voltmeters on other channels each time: the
-differences of their gains and zeros against the truth, with blocks that repeat as the readings say, and worse.
+`--exchange` gives each bench one block, measured so often with its three voltmeters on other channels each time:
+the differences of their gains and zeros against the truth, with blocks that repeat as the readings say, and worse.
 The simulation shares no geometry with the model (`tests.support.learning_bench`).
 """
 
