@@ -7,6 +7,7 @@ import numpy as np
 
 from bench.api.origin import BenchOrigin, Origin, UnitOrigin
 from bench.readings.csv import write_csv
+from bench.readings.table import Readings
 from bench.run.manifest import sha256
 from tests.support.learning_bench import Bench, Runs, simulate
 from tests.support.paper_bench import ARCSEC
@@ -50,7 +51,9 @@ def of_one_block(rng: np.random.Generator, runs: int) -> Runs:
     return made
 
 
-def leave(name: str, table, order: str, begun: datetime, bench: str | None = None, serial: str = "7") -> str:
+def leave(
+    name: str, table: Readings, order: str, begun: datetime, bench: str | None = None, serial: str = "7"
+) -> str:
     """Write a readings file with what tells where it comes from, and its bench file; return its name."""
     text = bench_text(order) if bench is None else bench
     file = Path(f"bench-{name}.yaml").absolute()

@@ -311,7 +311,8 @@ class _Design:
             if a != b:
                 of = np.zeros(len(self.meters))
                 of[[a, b]] = -1.0, 1.0
-                found[b] = 2.0 * (of @ here @ of) ** 2 / max((of @ slope @ of) ** 2 * u_variance**2, 1e-300)
+                size, by_variance = float(of @ here @ of), float(of @ slope @ of)
+                found[b] = 2.0 * size**2 / max((by_variance * u_variance) ** 2, 1e-300)
         return found
 
 
