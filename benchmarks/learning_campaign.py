@@ -3,6 +3,7 @@
     python -m benchmarks.learning_campaign --runs 200 --blocks 30 --seed 1
     python -m benchmarks.learning_campaign --runs 40 --own K2 --seed 2
     python -m benchmarks.learning_campaign --runs 25 --next 100 --seed 3
+    python -m benchmarks.learning_campaign --runs 400 --exchange 3 --seed 6
 
 Every bench draws its own truth within what is stated of it: means of four stand angles, what a remount adds,
 noise of three meters, setting error, two harmonics of the head. Every run has a block of its own; of three runs
@@ -11,6 +12,8 @@ u is <= 10 % lie within 20 % of the truth; of the others |z| <= 2 in >= 93 %. `-
 a drift of its own: how often it is named, and the z of the bench's sizes then. `--next` calibrates so many further
 blocks of each bench in installations 1 and 2 with what was learned (benches without a wave of the head then, so
 that one model serves with and without; promised: rms z 0.93 to 1.07), and compares u with and without.
+`--exchange` gives each bench one block, measured so often with its three voltmeters on other channels each time:
+the differences of their gains and zeros against the truth, with blocks that repeat as the readings say, and worse.
 The simulation shares no geometry with the model (`tests.support.learning_bench`).
 """
 
@@ -24,9 +27,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads
 import numpy as np
 from scipy.stats import binomtest
 
-from bench.analysis.calibration.batch import calibrate_batch
+from bench.analysis.calibration.batch import Batch, calibrate_batch
 from bench.analysis.learning.body import run_fit
 from bench.analysis.learning.learn import learn
+from bench.analysis.learning.meters import MeterRun, meter_differences
 from bench.analysis.learning.result import Learned
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
@@ -92,6 +96,66 @@ def next_blocks(
     return z, np.median(known.u, axis=0) / np.median(plain.u, axis=0)
 
 
+def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: float) -> np.ndarray:
+    """z and u over that of the limits, of the difference of two gains, then of two zeros (benches, 4).
+
+    The block's rows and biases change from run to run by `extra` times what the readings scatter by.
+    """
+    made = [simulate(one, Bench.drawn(one, waves=False), runs) for one in rng.spawn(benches)]
+    own = np.random.default_rng(rng.integers(2**32))
+    gain, zero = own.uniform(-35e-6, 35e-6, (benches, 3)), own.uniform(-50e-6, 50e-6, (benches, 3))
+    turns = [[(c + r) % 3 for c in range(3)] for r in range(runs)]
+    signals = []
+    for b, one in enumerate(made):
+        K, U0 = one.truths[0][:9].reshape(3, 3), one.truths[0][9:]
+        for turn, was, read in zip(turns, one.truths, one.signals, strict=True):
+            force = np.linalg.solve(was[:9].reshape(3, 3), (read - was[9:]).T).T
+            sizes = extra * SCATTER * own.normal(size=(2, 3))
+            true = (force @ K.T) * (1 + sizes[0]) + U0 + 2.0 * sizes[1]
+            signals.append(true * (1 + gain[b, turn]) + zero[b, turn])
+    found = calibrate_batch(np.array(signals), made[0].tables()[0].conditions(), MODEL, STATED)
+    rows = []
+    for b in range(benches):
+        told = meter_differences([_seen(found, b * runs + r, turn) for r, turn in enumerate(turns)])
+        if isinstance(told, str):
+            raise SystemExit(told)
+        one_of, other = ("ABC".index(meter) for meter in told.meters[:2])
+        row = []
+        for contrasts, truth, limit in ((told.gain, gain[b], 35e-6), (told.zero, zero[b], 50e-6)):
+            value, u = contrasts.difference(1, 0)
+            row += [(value - truth[other] + truth[one_of]) / u, u / (limit * np.sqrt(2 / 3))]
+        rows.append(row)
+    return np.array(rows)
+
+
+SCATTER = 5e-6
+"""About u of the length of a row by the readings of a run, in parts of it."""
+
+
+def _seen(found: Batch, k: int, turn: list[int]) -> MeterRun:
+    meters = ("ABC"[turn[0]], "ABC"[turn[1]], "ABC"[turn[2]])
+    return MeterRun.of(
+        f"run-{k}", "block", meters, 0.0, found.coefficients[k], found.covariance[k], np.zeros((12, 0)),
+        np.zeros((3, 2)), 90.0,
+    )  # fmt: skip
+
+
+def show_exchanged(asked: argparse.Namespace) -> None:
+    print(f"{asked.runs} benches, {asked.exchange} runs of one block with exchanged voltmeters")
+    print(f"{'block worse by':>15}{'':10}{'rms z':>8}{'|z|<=2':>20}{'95 % (Wilson)':>18}{'u/limits':>10}")
+    for extra in (0.0, 1.0, 5.0):
+        rows = exchanged_meters(np.random.default_rng(asked.seed), asked.runs, asked.exchange, extra)
+        for what, z, part in (("gain", rows[:, 0], rows[:, 1]), ("zero", rows[:, 2], rows[:, 3])):
+            good = int(np.sum(np.abs(z) <= 2))
+            low, high = binomtest(good, len(z)).proportion_ci(method="wilson")
+            share = f"{good} of {len(z)} = {good / len(z):.3f}"
+            print(
+                f"{extra:15g}{what:>10}{np.sqrt(np.mean(z**2)):8.3f}{share:>20}"
+                f"{f'{low:.3f} to {high:.3f}':>18}{np.median(part):10.3f}",
+                flush=True,
+            )
+
+
 def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -100,7 +164,11 @@ def main() -> int:
     parser.add_argument("--own", choices=list(OWN), default="")
     parser.add_argument("--next", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--exchange", type=int, default=0)
     asked = parser.parse_args()
+    if asked.exchange:
+        show_exchanged(asked)
+        return 0
     own = OWN[asked.own]
     rows, named, wrongly, seconds, zs, ratios = [], 0, 0, [], [], []
     for k, rng in enumerate(np.random.default_rng(asked.seed).spawn(asked.runs)):

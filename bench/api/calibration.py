@@ -252,7 +252,7 @@ def calibration_of(
         join_verification=join_verification,
         known=source.known,
     )
-    signed = sign(found, source.readings, source.bench, source.model, source.traced.day)
+    signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
     if prior is None:
         return CalibrationResult(source, signed)
     return CalibrationResult(source, *with_prior(signed, source, prior))

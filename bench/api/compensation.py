@@ -42,7 +42,7 @@ def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
     found = calibrate(
         source.readings, source.model, source.stand_u, source.g_m_s2, assumed_u=assumed, find_shared=False
     )
-    signed = sign(found, source.readings, source.bench, source.model, source.traced.day)
+    signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
     sources = tuple(s for s in signed.sources if s.name not in OVER_TEMPERATURE)
     return SignedModel(
         _with(model, sources), _with(model, tuple(s for s in sources if not s.cancels)), sources

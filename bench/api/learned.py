@@ -6,12 +6,16 @@ Never by a run that is among those behind it, nor after its day, nor for signals
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from bench.analysis.budget.alike import KnownMeters, known_meters
 from bench.analysis.calibration.known import KnownNoise, KnownStand
+from bench.api.meters import learned_meters
+from bench.files.bench.file import BenchFile
 from bench.files.bench.learned import LearnedFile
 from bench.model import AppliedEffect, Effect
 
@@ -20,12 +24,17 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """What an evaluation takes of a learned file, with notes; nothing where the file does not count for it."""
+    """What an evaluation takes of a learned file, with notes; nothing where the file does not count for it.
+
+    `name` says which differences of meters it is that `meters` hold.
+    """
 
     known: KnownStand | None = None
     effects: tuple[AppliedEffect, ...] = ()
     own: tuple[Effect, ...] = ()
     notes: tuple[str, ...] = ()
+    meters: KnownMeters | None = None
+    name: str = ""
 
 
 NOTHING: Final = LearnedTaken()
@@ -64,6 +73,20 @@ def take_learned(
             )
         return LearnedTaken(known, file.applied_effects(), file.own_effects(), tuple(notes))
     return LearnedTaken(notes=(f"{told} is not used: {why}; the stated limits count",))
+
+
+def with_meters(
+    found: LearnedTaken, file: LearnedFile, bench: BenchFile, day: datetime.date, meters: Mapping[str, str]
+) -> LearnedTaken:
+    """Return what was taken with the differences of a bench's voltmeters, by who read each channel."""
+    if file.meters is None:
+        return found
+    if not meters:
+        note = "how the voltmeters differ was learned, but not who read here: it does not count"
+        return replace(found, notes=(*found.notes, note))
+    names = [meters[meter.channels[0]] for meter in bench.instruments.voltmeters]
+    known, notes = known_meters(bench, day, names, learned_meters(file.meters))
+    return replace(found, meters=known, notes=(*found.notes, *notes), name=f"differences learned {file.made}")
 
 
 def _known(file: LearnedFile, unit: str) -> KnownStand:

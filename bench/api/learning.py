@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ from bench.analysis.learning.body import RunFit, run_fit
 from bench.analysis.learning.learn import learn as learn_from
 from bench.analysis.learning.result import WAVE_NAMES, Learned
 from bench.api.errors import Refused
+from bench.api.meters import differences_of, written_meters
 from bench.api.source import Source, data_sha256
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.tables import as_text, table
@@ -135,6 +136,7 @@ class LearningResult:
                 "remount": {name: arcsec(size) for name, size in known.remount.items()},
             },
             "noise": noise,
+            **({} if isinstance(found.meters, str) else {"meters": written_meters(found.meters)}),
             "sizes": {
                 size.name: f"{size.value:.6g} {size.unit}, u {size.u:.3g}, dof {size.dof:.3g}"
                 for size in found.sizes()
@@ -160,6 +162,8 @@ class LearningResult:
         kind = "simulated runs" if self.simulated else "runs"
         out.print(f"Bench {self.bench}, learned from {len(found.runs)} {kind}, until {self.expires}:")
         out.print(self.table())
+        for sentence in () if isinstance(found.meters, str) else found.meters.words():
+            out.print(sentence)
         for sentence in found.not_identified():
             out.print(f"not told: {sentence}")
 
@@ -188,17 +192,22 @@ def learning_of(
     asked = _effects_of_model(sources)
     certified = first.bench.instruments.head.certificate is not None
     waves = not certified and not {a.effect.name for a in asked} & set(HEAD_EFFECTS)
-    found = learn_from([_fit(source, stand_u) for source in sources], stand_u, by_installation=by_installation,
+    own = [_certified(source) for source in sources]
+    found = learn_from([_fit(source, stand_u) for source in own], stand_u, by_installation=by_installation,
                        waves=waves)  # fmt: skip
+    found = replace(found, meters=differences_of([source for source in own if source.name in found.runs]))
     effects = (*asked, *_circle(found))
     return LearningResult(found, tuple(sources), made, until, effects, by_installation)
 
 
+def _certified(source: Source) -> Source:
+    """Return a source as certificates have it, and with no effects but those of a model that was asked for."""
+    plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
+    return replace(source.as_certified(), model=plain)
+
+
 def _fit(source: Source, stand_u: dict[str, float]) -> RunFit:
-    model = ForwardModel(source.bench.installation_models())
-    if source.request.model is not None:
-        model = source.model
-    return run_fit(source.name, source.readings, model, stand_u)
+    return run_fit(source.name, source.readings, source.model, stand_u)
 
 
 def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:

@@ -21,6 +21,8 @@ from bench.run.manifest import sha256
 
 FORMAT: Final = 1
 SUFFIX: Final = ".json"
+NO_SERIAL: Final = frozenset({"", "0", "-"})
+"""What instruments answer that have no serial number."""
 
 
 def _printable(text: str) -> str:
@@ -96,6 +98,15 @@ class Origin(_Part):
             if (content := _read(path)) is not None and sha256(content) == self.bench.sha256:
                 return path
         return None
+
+
+def instrument_name(identity: str, serial: str, resource: str | None, bench: str) -> str:
+    """Return what an instrument is called: by its serial number, else by what answered where on which bench."""
+    serial = serial.strip()
+    if serial in NO_SERIAL:
+        place = f" at {resource}" if resource else ""
+        return f"{identity}{place} of {bench}"
+    return f"{identity.split(serial, maxsplit=1)[0].strip()} {serial}".strip()
 
 
 @dataclass(frozen=True)

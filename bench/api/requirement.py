@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.setup import Setup, make_setup
-from bench.analysis.budget.sources import ErrorSource, bench_sources
+from bench.analysis.budget.sources import bench_sources
 from bench.analysis.calibration.estimators import ESTIMATORS, in_a_budget
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.planning.requirements import (

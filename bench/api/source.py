@@ -8,15 +8,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.analysis.budget.alike import KnownMeters
 from bench.analysis.calibration.known import KnownStand
 from bench.api.errors import Refused
-from bench.api.learned import LearnedTaken, take_learned
+from bench.api.learned import NOTHING, LearnedTaken, take_learned, with_meters
+from bench.api.meters import voltmeter_names
 from bench.api.origin import Origin, Told, origin_beside, origin_of_run
 from bench.api.taken import BenchTaken, bench_of, recorded_sha256
 from bench.api.traceability import Traced, trace
 from bench.files.bench.file import BenchFile
 from bench.files.model import ModelFile, load_model
 from bench.model import CATALOGUE, Effect, ForwardModel
+from bench.readings.corrected import VOLTS, corrected
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
 from bench.run.folder import IMPORTED, Run, find_run
@@ -59,7 +62,8 @@ class Source:
     `origin` is where they come from, None where nobody says it. The readings are corrected as the certificates of
     the instruments say, of which `traced` tells; `as_read` are those that were read. `effects` are the user's own:
     those that were known, and those whose formulas stand in the bench file and the model file.
-    `known` is what other runs of the bench told of its stand and noise, None where nothing counts.
+    `known` is what other runs of the bench told of its stand and noise, None where nothing counts; `known_meters`
+    how its voltmeters differ (the readings are corrected by it, too), learned as `learned_of` says.
     """
 
     name: str
@@ -75,6 +79,8 @@ class Source:
     traced: Traced
     effects: tuple[Effect, ...] = ()
     known: KnownStand | None = None
+    known_meters: KnownMeters | None = None
+    learned_of: str = ""
 
     @property
     def simulated(self) -> bool:
@@ -91,7 +97,9 @@ class Source:
         meters = self.bench.instruments.voltmeters
         if not all(told.get(meter.name) for meter in meters):
             return ()
-        return tuple(f"{told[m.name]} at {m.resource} of {self.bench.name}" for m in meters)
+        # errors cancel between two calibrations where both took the same of them away
+        taken = f", {self.learned_of} taken away" if self.known_meters is not None else ""
+        return tuple(f"{told[m.name]} at {m.resource} of {self.bench.name}{taken}" for m in meters)
 
     @property
     def block_name(self) -> str:
@@ -120,6 +128,13 @@ class Source:
     def stand_u(self) -> dict[str, float]:
         """Standard uncertainties of the stand's errors by name, rad (V for the voltmeter's)."""
         return {name: d.u for name, d in self.bench.stand_distributions().items()}
+
+    def as_certified(self) -> Source:
+        """Return the source without what was learned: readings corrected by certificates alone, stated limits."""
+        readings = corrected(self.as_read, self.traced.by_certificates)
+        return replace(
+            self, known=None, known_meters=None, readings=replace(readings, notes=self.readings.notes)
+        )
 
     def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
         """Return the file that a command writes for this source.
@@ -197,26 +212,36 @@ def _load(given: Given, request: Request) -> Source:
         own += file.own_effects()
     as_read = readings
     bench, readings, traced = trace(taken, bench, readings, told.origin)
-    learned = _learned(taken, as_read, traced, run, told)
+    learned = _learned(given, taken, bench, as_read, traced, run, told)
     there = {applied.effect.name for applied in model.effects}
     further = tuple(applied for applied in learned.effects if applied.effect.name not in there)
     if further:
         model = replace(model, effects=(*model.effects, *further))
+    if learned.meters is not None:
+        traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
+        readings = corrected(as_read, traced.by)
     readings = replace(readings, notes=(*notes, *learned.notes, *traced.notes(), *readings.notes))
     name = given if isinstance(given, str) else readings.source
     return Source(
         name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced,
-        (*own, *learned.own), learned.known,
+        (*own, *learned.own), learned.known, learned.meters, learned.name,
     )  # fmt: skip
 
 
 def _learned(
-    taken: BenchTaken, readings: Readings, traced: Traced, run: Run | None, told: Told
+    given: Given,
+    taken: BenchTaken,
+    bench: BenchFile,
+    readings: Readings,
+    traced: Traced,
+    run: Run | None,
+    told: Told,
 ) -> LearnedTaken:
     file = taken.learned()
     if file is None:
-        return take_learned(None, traced.day, readings.unit)
-    return take_learned(
+        return NOTHING
+    name = given if isinstance(given, str) else ""
+    found = take_learned(
         file,
         traced.day,
         readings.unit,
@@ -224,6 +249,9 @@ def _learned(
         hashes=(data_sha256(readings), sha256(format_csv(readings, to_the_bit=True).encode())),
         simulated=None if told.origin is None else told.origin.simulated,
     )
+    if found.known is None or readings.unit != VOLTS or readings.corrected:
+        return found
+    return with_meters(found, file, bench, traced.day, voltmeter_names(bench, taken, told.origin, name))
 
 
 def _on_check_block(run: Run) -> tuple[str, ...]:

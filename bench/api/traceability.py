@@ -26,13 +26,14 @@ class Traced:
     """The certificates of a bench with readings of a day, each with why nothing is corrected, empty where it is.
 
     `recorded` is whether a run recorded the readings: else they are taken for what the instruments showed. `by` is
-    what was added to them.
+    what was added to them, of it `by_certificates` what certificates say: the rest was learned.
     """
 
     day: datetime.date
     entries: tuple[tuple[Standing, str], ...] = ()
     recorded: bool = False
     by: Corrections = NO_CORRECTIONS
+    by_certificates: Corrections = NO_CORRECTIONS
 
     def notes(self) -> Iterator[str]:
         """Yield what a reader of a result must know of the certificates, a sentence each."""
@@ -83,7 +84,7 @@ def trace(
     applied = without(bench, {standing.instrument for standing, why_not in entries if why_not})
     counted = without(bench, {standing.instrument for standing in found if standing.foreign})
     by = corrections_of(applied)
-    return counted, corrected(readings, by), Traced(day, entries, origin is not None, by)
+    return counted, corrected(readings, by), Traced(day, entries, origin is not None, by, by)
 
 
 def remarks(bench: BenchFile, serials: Mapping[str, str] | None = None) -> list[str]:

@@ -255,8 +255,9 @@ def verification_of(
             warnings = (f"the coefficients in {coefficients} were found on simulated instruments",)
     if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
         joint = delta_g_covariance(
-            coefficients.calibration, source.readings, source.bench, source.model, source.traced.day
-        )
+            coefficients.calibration, source.readings, source.bench, source.model, source.traced.day,
+            source.known_meters,
+        )  # fmt: skip
     else:
         joint, said = _of_another_day(taken, source)
     verdict = check(
@@ -285,6 +286,7 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
         found = delta_g_elsewhere(
             taken.block, covariance, np.full(3, taken.noise), source.readings, source.bench, source.model,
             same_meters=same, day=source.traced.day, block_terms=taken.block_terms,
+            meters=source.known_meters,
         )  # fmt: skip
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:

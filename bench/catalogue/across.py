@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -10,12 +11,13 @@ import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.history.comparison import Snapshot
-from bench.analysis.history.joint import joint_covariances
+from bench.analysis.history.joint import Joint, joint_covariances, joint_of
 from bench.analysis.intercomparison.equivalence import Equivalence, Pair, Participants, equivalence, pairs
 from bench.analysis.intercomparison.measured import STANDARD_GRAVITY, Measured, coded, to_standard_gravity
+from bench.analysis.intercomparison.together import Together, together
 from bench.api.errors import Refused
 from bench.api.snapshots import snapshots_in
-from bench.base.arrays import Mask
+from bench.base.arrays import Mask, u_of
 from bench.catalogue.values import CoefficientTable
 from bench.model.block import COEFFICIENTS
 
@@ -86,7 +88,8 @@ def _regular(table: CoefficientTable) -> Mask:
 class Compared:
     """Benches against one another, for each of the twelve coefficients.
 
-    `benches` and `units` are those that take part; `alone` are benches that share no unit with another.
+    `benches` and `units` are those that take part; `alone` are benches that share no unit with another. `together`
+    judges the degrees of equivalence of each bench in all twelve at once, `pairs_together` the pairs.
     """
 
     benches: tuple[str, ...]
@@ -94,6 +97,8 @@ class Compared:
     alone: tuple[str, ...]
     found: tuple[Equivalence, ...]
     pairs: tuple[tuple[Pair, ...], ...]
+    together: tuple[Together, ...]
+    pairs_together: tuple[Together, ...]
     calibrations: int
     signal: str
     simulated: bool
@@ -139,6 +144,15 @@ class Compared:
                 }
                 for name, one, both in zip(COEFFICIENTS, self.found, self.pairs, strict=True)
             },
+            "together": {
+                "benches": {
+                    bench: one.to_json() for bench, one in zip(self.benches, self.together, strict=True)
+                },
+                "pairs": [
+                    {"first": self.benches[pair.first], "second": self.benches[pair.second], **one.to_json()}
+                    for pair, one in zip(self.pairs[0], self.pairs_together, strict=True)
+                ],
+            },
             "apart": [{"bench": b, "coefficient": c, "en": en} for b, c, en in self.apart],
             "notes": list(self.notes),
         }  # fmt: skip
@@ -177,17 +191,43 @@ def compared(table: CoefficientTable, method: str | None = None) -> Compared:
         f"over {days} days: what a unit changed by between its calibrations counts as a difference of benches",
     )
     taking = [Participants(values[:, k], covariances[k], of_unit, of_bench) for k in range(len(COEFFICIENTS))]
+    found = tuple(equivalence(one, method) for one in taking)
+    by_pair = tuple(pairs(one) for one in taking)
+    joint = joint_of(there)
     return Compared(
         benches=tuple(stands.tolist()),
         units=tuple(names.tolist()),
         alone=tuple(sorted(set(benches.tolist()) - set(stands.tolist()))),
-        found=tuple(equivalence(one, method) for one in taking),
-        pairs=tuple(pairs(one) for one in taking),
+        found=found,
+        pairs=by_pair,
+        together=_benches_together(taking, found, joint),
+        pairs_together=_pairs_together(by_pair, joint),
         calibrations=len(rows),
         signal=measured.signal,
         simulated=measured.simulated,
         notes=(*notes, *drifted) if days else notes,
     )
+
+
+def _benches_together(
+    taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
+) -> tuple[Together, ...]:
+    """Judge the degrees of equivalence of each bench, in all coefficients."""
+    degrees = np.stack([one.degree for one in found], axis=1)
+    u = np.stack([one.u_degree for one in found], axis=1)
+    maps = np.stack([one.map for one in found], axis=1)
+    own = np.stack(
+        [u_of(one.map @ of.covariance @ one.map.T) for of, one in zip(taking, found, strict=True)], axis=1
+    )
+    return together(degrees, u, np.array([joint.of_sums(one) for one in maps]), own)
+
+
+def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[Together, ...]:
+    """Judge what the benches of each pair differ by, in all coefficients."""
+    each = list(zip(*by_coefficient, strict=True))
+    u = np.array([[pair.u for pair in one] for one in each])
+    errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])
+    return together(np.array([[pair.difference for pair in one] for one in each]), u, errors, u)
 
 
 def _snapshot(folder: Path, block: str) -> Snapshot:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
+from bench.api.origin import NO_SERIAL, instrument_name
 from bench.catalogue.schema import key_of
 from bench.files.bench.file import BenchFile
 
 Row = dict[str, Any]
-
-NO_SERIAL: Final = frozenset({"", "0", "-"})
-"""What instruments answer that have no serial number."""
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
@@ -28,10 +26,7 @@ def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]
         serial = serials.get(role, "")
         if serial in NO_SERIAL:
             serial = ""
-            place = f" at {resource}" if resource else ""
-            name = f"{identity}{place} of {bench.name if bench else 'an unknown bench'}"
-        else:
-            name = f"{identity.split(serial)[0].strip()} {serial}".strip()
+        name = instrument_name(identity, serial, resource, bench.name if bench else "an unknown bench")
         instrument = key_of("instrument", name)
         driver = text_of(getattr(section, "driver", None))
         instruments[instrument] = {"id": instrument, "name": name, "driver": driver, "serial": serial or None}

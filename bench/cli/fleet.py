@@ -90,6 +90,7 @@ def compare(
         on.print(f"beyond U (k=2): {said}", style="bold")
     else:
         on.print("no bench is off by more than U (k=2)", style="bold")
+    fleet_tables.together(found, on)
     result = found.to_json()
     if out is not None:
         _write_compared(out, found, result, on)

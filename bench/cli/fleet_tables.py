@@ -82,6 +82,23 @@ def compared(found: Compared, out: Console) -> None:
     out.print(shown)
 
 
+def together(found: Compared, out: Console) -> None:
+    """Print which benches, and pairs of them, differ in all twelve coefficients taken together."""
+    benches = [(name, one) for name, one in zip(found.benches, found.together, strict=True) if one.apart]
+    pairs = [
+        (f"{found.benches[pair.first]} and {found.benches[pair.second]}", one)
+        for pair, one in zip(found.pairs[0], found.pairs_together, strict=True)
+        if one.apart
+    ]
+    told = sorted([*benches, *pairs], key=lambda row: row[1].p_all_looks)
+    for name, one in told[:MOST_SHOWN]:
+        out.print(
+            f"all twelve together, {name}: chi2 {one.chi2:.1f} for {one.dof}, p {one.p_all_looks:.2g} in all looks"
+        )
+    if not told:
+        out.print("all twelve together: no bench and no pair differs beyond its covariance (5 %, all looks)")
+
+
 def prior(found: Prior, out: Console) -> None:
     """Print what a further unit of a type is expected to be."""
     out.print(
@@ -141,14 +158,16 @@ def capability(found: Capability, out: Console) -> None:
         f"to {c['last']}; stated u that {100 * found.quantile:.0f} % of them reach, with what it has not in it"
     )
     shown = printing.table(
-        "coefficient", ">U (k=2)", ">stated u", ">scatter over time", ">between benches", ">state less"
-    )
+        "coefficient", ">U (k=2)", ">stated u", ">scatter over time", ">at most", ">between benches", ">state less",
+        "",
+    )  # fmt: skip
     for k, name in enumerate(COEFFICIENTS):
         per = "" if name.startswith("U0") else "/g"
         between = float(found.bench[k])
         shown.add_row(
             name, quantity(float(found.U[k]), found.signal) + per, quantity(float(found.stated[k]), found.signal),
-            quantity(float(found.scatter[k]), found.signal),
+            quantity(float(found.scatter[k]), found.signal), quantity(found.apart[k].scatter_most, found.signal),
             "–" if math.isnan(between) else quantity(between, found.signal), f"{found.below[k]:.0f}",
+            "units drift" if found.apart[k].shown else "",
         )  # fmt: skip
     out.print(shown)

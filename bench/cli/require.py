@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.budget.sources import ErrorSource
+    from bench.analysis.budget.error_source import ErrorSource
     from bench.analysis.planning.requirements import Limit
     from bench.api.requirement import RequirementAnswer
 

@@ -39,6 +39,13 @@ class Corrections:
         """Whether any signal is corrected."""
         return any(self.gain) or any(self.offset_v)
 
+    def then(self, gain: tuple[float, float, float], offset_v: tuple[float, float, float]) -> Corrections:
+        """Return these corrections with further ones of the signals after them: U (1 + `gain`) + `offset_v`."""
+        both = [(1.0 + own) * (1.0 + more) - 1.0 for own, more in zip(self.gain, gain, strict=True)]
+        sums = [own * (1.0 + more) + added
+                for own, more, added in zip(self.offset_v, gain, offset_v, strict=True)]  # fmt: skip
+        return replace(self, gain=(both[0], both[1], both[2]), offset_v=(sums[0], sums[1], sums[2]))
+
     def __bool__(self) -> bool:
         return self.of_signals or bool(self.head) or bool(self.thermometer)
 

@@ -15,7 +15,7 @@ from bench.analysis.diagnosis.free_positions import diagnose_free
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.posterior import posterior
 from bench.analysis.diagnosis.show import Simulation, show
-from bench.analysis.diagnosis.threshold import channel_steps
+from bench.analysis.diagnosis.threshold import channel_steps, size_steps
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.formulas import load_effects
 from bench.files.shipped import find_bench
@@ -39,7 +39,8 @@ class _ByDesign(ThresholdCache):
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
-        key = (*self.key, len(linear), linear.fixed.shape[1], *channel_steps(linear))
+        of_runs = () if linear.by_run is None else size_steps(linear.by_run.sizes)
+        key = (*self.key, len(linear), linear.fixed.shape[1], *channel_steps(linear), *of_runs)
         if key not in self.known:
             self.known[key] = super().threshold(linear, whitened, setting_rad)
         return self.known[key]

@@ -57,7 +57,7 @@ def test_the_bench_that_is_off_is_named_and_the_blocks_are_not(laboratory):
 
 
 def test_degrees_of_equivalence_with_figure_and_exit_status(laboratory):
-    status, _, told = result(
+    status, out, told = result(
         laboratory, "compare", "--out", "there", "--reference", "weighted-mean", "--strict"
     )
     assert status == 1
@@ -66,6 +66,10 @@ def test_degrees_of_equivalence_with_figure_and_exit_status(laboratory):
     assert (pair["first"], pair["second"], pair["units"]) == ("bench-01", "bench-02", 8)
     assert abs(abs(pair["difference"]) - OFF_V) < 4 * pair["u"]
     assert any("what a unit changed by" in note for note in told["notes"])
+    (both,) = told["together"]["pairs"]
+    assert (both["dof"], both["apart"]) == (12, True)
+    assert both["chi2"] > (pair["difference"] / pair["u"]) ** 2
+    assert "all twelve together, bench-01 and bench-02: chi2" in out
     assert "<svg" in Path("there/equivalence.svg").read_text(encoding="utf-8")
     assert json.loads(Path("there/fleet-compare.json").read_text()) == told
 

@@ -14,8 +14,8 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.budget.coefficients import Budget, Contribution, parts_of
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.propagation import coverage_factor, effective_dof
-from bench.analysis.budget.sources import ErrorSource
 from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
@@ -108,7 +108,7 @@ def _of_reading(
         sensed = block.output(force) if source.kind == "voltmeter_gain" else np.ones_like(force)
         sensed = sensed * source.on_channels
         meters = np.unique(budget.setup.meters, return_inverse=True)[1]
-        errors = source.u * sensed[:, :, None] * np.eye(int(meters.max()) + 1)[meters][None]
+        errors = source.acting(sensed[:, :, None] * np.eye(int(meters.max()) + 1)[meters][None])
         return (errors, alone) if same_voltmeters else (none, errors)
     if source.name in {"K2", "K3"}:
         power = force ** int(source.name[1]) * np.diag(block.K) * source.on_channels

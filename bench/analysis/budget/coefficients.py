@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.estimators import gain as gain_of
 from bench.analysis.budget.patterns import influences
 from bench.analysis.budget.propagation import (
@@ -21,7 +22,7 @@ from bench.analysis.budget.propagation import (
 )
 from bench.analysis.budget.seen import Seen
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import ErrorSource, sizes_by_name
+from bench.analysis.budget.sources import sizes_by_name
 from bench.analysis.calibration.estimators import GLS
 from bench.base.arrays import Floats
 from bench.base.numbers import finite_or_none
@@ -140,7 +141,7 @@ def make_budget(
 def parts_of(source: ErrorSource, setup: Seen, functionals: Floats) -> Floats:
     """Return what each draw of a source, one u large, adds to linear functionals (m, n, 3), shape (m, q)."""
     parts = [influence.through(functionals) for influence in influences(source, setup)]
-    return source.u * np.concatenate(parts, axis=1)
+    return source.acting(np.concatenate(parts, axis=1))
 
 
 def _source_json(contribution: Contribution) -> dict[str, Any]:

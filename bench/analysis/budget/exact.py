@@ -14,6 +14,7 @@ import numpy as np
 
 from bench.analysis.budget.acceleration import delta_g
 from bench.analysis.budget.coefficients import Budget
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.monte_carlo import (
     Distributed,
     Validation,
@@ -25,7 +26,6 @@ from bench.analysis.budget.monte_carlo import (
 )
 from bench.analysis.budget.patterns import influences
 from bench.analysis.budget.propagation import Propagated
-from bench.analysis.budget.sources import ErrorSource
 from bench.base.arrays import Floats
 from bench.base.progress import tracked
 from bench.model import STAND_ANGLES
@@ -164,4 +164,5 @@ class _Simulation:
 
 
 def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    return drawn(source.distribution, shape, rng, source.dof)
+    values = drawn(source.distribution, shape, rng, source.dof)
+    return values if source.root is None else values @ np.array(source.root).T

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.analysis.budget.sources import ErrorSource
+from bench.analysis.budget.error_source import ErrorSource
 from bench.base.arrays import ARCSEC, Floats
 from bench.files.bench.file import BenchFile
 from bench.model import Block, Conditions, Installation

@@ -44,10 +44,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
     With a certificate u² = (U / k)² + a² / 3, a being the drift since: its drift per year times the years, else the
     maker's limits for that time. JCGM 100:2008, 4.3.3, 4.3.7, (G.2b). Without one the maker's limits of 90 days.
     """
-    values = meter.certificate and meter.certificate.of_range(meter.range)
-    found: CertifiedGain | CertifiedOffset | None = None
-    if values:
-        found = values.gain if quantity == "voltmeter_gain" else values.offset
+    found = _certified(quantity, meter)
     if meter.certificate is None or found is None:
         limit = _limit(quantity, meter, 0.0)
         return Size(Distribution(limit, "rectangular"), _data_sheet(meter), prior=True)
@@ -62,6 +59,25 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
     )
     dof = effective_dof(np.square([parts]), [found.dof, math.inf])
     return Size(Distribution(math.hypot(*parts)), origin, float(dof[0]), prior=found.drift is None)
+
+
+def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
+    """Return u of how far a meter's gain (1) or zero (V) on its range may move within 90 days."""
+    found = _certified(quantity, meter)
+    drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
+    return drift / math.sqrt(3.0)
+
+
+def is_certified(quantity: Quantity, meter: VoltmeterForm) -> bool:
+    """Whether a certificate states a meter's gain or zero on its range."""
+    return _certified(quantity, meter) is not None
+
+
+def _certified(quantity: Quantity, meter: VoltmeterForm) -> CertifiedGain | CertifiedOffset | None:
+    values = meter.certificate and meter.certificate.of_range(meter.range)
+    if not values:
+        return None
+    return values.gain if quantity == "voltmeter_gain" else values.offset
 
 
 def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:

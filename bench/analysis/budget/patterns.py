@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.influence import Influence
 from bench.analysis.budget.seen import Seen
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import ErrorSource
 from bench.base.arrays import Floats, Ints
 from bench.model import STAND_ANGLES
 

@@ -5,28 +5,22 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Final, Literal
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
+from bench.analysis.budget.alike import KnownMeters
+from bench.analysis.budget.error_source import Common, ErrorSource
 from bench.analysis.budget.meters import Size, linearity_of, size_of
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.thermometer import thermometer_size
-from bench.analysis.calibration.design import SYMBOLS, WEAK, EffectUnknown
-from bench.base.arrays import ARCSEC, CHANNELS, Floats
+from bench.analysis.calibration.design import SYMBOLS, WEAK
+from bench.base.arrays import CHANNELS
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import STAND_ERRORS, BenchFile
 from bench.files.bench.stand import ErrorSize, Location, MeasuredGravity
 from bench.model import STAND_ANGLES, Distribution, ForwardModel
-
-Common = Literal["reading", "setting", "angle", "orientation", "mounting", "run"]
-"""What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
-of it, all readings in one orientation, all of one mounting, everything."""
-
-Group = Literal["stand", "scale", "block"]
-"""Which errors a source belongs to: the stand's and the readings' own, which `bench calibrate` states; those
-of scale and zero, which no reading shows; what the model of the block leaves out or has in addition."""
 
 ANOMALY_M_S2: Final = 5e-4
 """Local anomalies of gravity about the WGS 84 formula, 50 mGal, 1 sigma."""
@@ -47,68 +41,6 @@ K3_PRIOR: Final = Distribution(20e-6)
 """Priors of the nonlinearity of a channel, g/g² and g/g³: the catalogue's plausible sizes, 1 sigma."""
 
 
-_SHOWN: Final[Mapping[str, tuple[str, float]]] = {
-    "rad": ("arcsec", ARCSEC),
-    "V": ("µV", 1e-6),
-    "1": ("ppm", 1e-6),
-    "g": ("µg", 1e-6),
-    "1/g": ("µg/g²", 1e-6),
-    "1/g^2": ("µg/g³", 1e-6),
-}
-
-
-@dataclass(frozen=True)
-class ErrorSource:
-    """An error with its distribution in `unit` (SI), what it is common to and its degrees of freedom.
-
-    `origin` says where the size comes from; `prior` that it is a plausible size and not a stated one.
-    `factors` scale the error where it acts (the temperature coefficients, per K). The parameter of an effect
-    has `effect`, and in `written_in` the unit in which files state it with its size in SI. `channels` are
-    those that it is of: K2 and K3 are not of one for which the model has such an effect, a voltmeter's are its own.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    distribution: Distribution
-    common: Common
-    group: Group
-    origin: str
-    dof: float = math.inf
-    prior: bool = False
-    factors: Mapping[str, float] | None = None
-    effect: EffectUnknown | None = None
-    channels: tuple[str, ...] = CHANNELS
-    written_in: tuple[str, float] = ("", 1.0)
-
-    @property
-    def kind(self) -> str:
-        """Its name without whose it is: "voltmeter_gain" of "voltmeter_gain[x]"."""
-        return self.name.partition("[")[0]
-
-    @property
-    def u(self) -> float:
-        """Standard uncertainty, in `unit`."""
-        return self.distribution.u
-
-    @property
-    def shown(self) -> str:
-        """The standard uncertainty in the unit in which files state it: "1.67 arcsec"."""
-        unit, size = _SHOWN.get(self.unit, (self.unit, 1.0)) if self.effect is None else self.written_in
-        if self.unit == "V" and self.effect is None and self.u >= 1e-3:
-            unit, size = "mV", 1e-3
-        return f"{self.u / size:.3g} {unit}"
-
-    @property
-    def on_channels(self) -> Floats:
-        """1 for a channel that it is of, 0 for another, shape (3,)."""
-        return np.array([float(channel in self.channels) for channel in CHANNELS])
-
-    def sized(self, u: float) -> ErrorSource:
-        """Return the source with another standard uncertainty, normally distributed."""
-        return replace(self, distribution=Distribution(u), origin="as asked")
-
-
 # --- from a bench file ------------------------------------------------------------------------------
 
 
@@ -126,11 +58,17 @@ def bench_sources(
 
 
 def hidden_sources(
-    bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
+    bench: BenchFile,
+    model: ForwardModel,
+    day: datetime.date | None = None,
+    meters: KnownMeters | None = None,
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading of a calibration shows and no fit holds: priors where none is stated."""
+    """Return the sources that no reading of a calibration shows and no fit holds: priors where none is stated.
+
+    `meters` are the errors of the voltmeters as far as differences between them were learned.
+    """
     return (
-        *_voltmeter_sources(bench, day),
+        *_voltmeter_sources(bench, day, meters),
         *_head_table_source(bench),
         *_gravity_source(bench),
         _temperature_source(bench),
@@ -185,8 +123,13 @@ _FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
 }
 
 
-def _voltmeter_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[ErrorSource]:
-    """One line for each quantity where all meters are alike, else one for each meter: "voltmeter_gain[x]"."""
+def _voltmeter_sources(
+    bench: BenchFile, day: datetime.date | None, known: KnownMeters | None
+) -> Iterator[ErrorSource]:
+    """One line for each quantity where all meters are alike, else one for each meter: "voltmeter_gain[x]".
+
+    Where differences between them were learned it is one line, of meters that hang together.
+    """
     meters = bench.instruments.voltmeters
     largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))
     section = bench.uncertainty
@@ -199,6 +142,13 @@ def _voltmeter_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[
          lambda meter: linearity_of(meter, largest_v)),
     )  # fmt: skip
     for name, symbol, unit, common, stated, size in quantities:
+        if known is not None and name in known.quantities:
+            own = known.quantities[name]
+            yield replace(
+                _sized(ErrorSource(name, symbol, unit, own.size.distribution, common, "scale", ""), own.size),
+                root=own.together.root,
+            )
+            continue
         if stated is not None:
             sizes = [Size(stated.to_distribution(), "bench file", stated.dof)]
         else:
@@ -208,12 +158,12 @@ def _voltmeter_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[
                 ErrorSource(name, symbol, unit, sizes[0].distribution, common, "scale", ""), sizes[0]
             )
             continue
-        for meter, own in zip(meters, sizes, strict=True):
+        for meter, one in zip(meters, sizes, strict=True):
             called = f"{name}[{''.join(meter.channels)}]"
             source = ErrorSource(
-                called, symbol, unit, own.distribution, common, "scale", "", channels=meter.channels
+                called, symbol, unit, one.distribution, common, "scale", "", channels=meter.channels
             )
-            yield _sized(source, own)
+            yield _sized(source, one)
 
 
 def _sized(source: ErrorSource, size: Size) -> ErrorSource:

@@ -14,11 +14,13 @@ from typing import Final
 
 import numpy as np
 
+from bench.analysis.budget.alike import KnownMeters
 from bench.analysis.budget.coefficients import parts_of
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.foundation import NAME, Foundation, foundation_of
 from bench.analysis.budget.propagation import effective_dof
 from bench.analysis.budget.setup import meters_of
-from bench.analysis.budget.sources import ROLL_ORIGIN, ErrorSource, assumed_stand, hidden_sources
+from bench.analysis.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
 from bench.analysis.calibration.components import walk_since
 from bench.analysis.calibration.result import Calibration
 from bench.analysis.calibration.source_of_error import SourceOfError
@@ -84,16 +86,17 @@ def sign(
     bench: BenchFile,
     model: ForwardModel,
     day: date | None = None,
+    meters: KnownMeters | None = None,
 ) -> Calibration:
     """Return the calibration with the combined covariance: of its readings and of what they do not show.
 
-    `readings` is the whole table that it was made from, `day` that of the readings. The meters'
-    errors are in volts, and so in no result of readings in another unit.
+    `readings` is the whole table that it was made from, `day` that of the readings, `meters` what was
+    learned of the voltmeters. The meters' errors are in volts, and so in no result of readings in another unit.
     """
     if readings.unit != VOLTS:
         return replace(calibration, notes=(*calibration.notes, _NO_VOLTS.format(unit=readings.unit)))
     taken = _taken(calibration, readings, bench)
-    of_bench = _acting(calibration, bench, model, day)
+    of_bench = _acting(calibration, bench, model, day, meters)
     own = tuple(_source(error, taken, calibration.gain) for error in of_bench if error.name != GRAVITY)
     roll = calibration.covariance - calibration.covariance_readings
     moving = _foundation(readings, bench)
@@ -149,6 +152,7 @@ _NO_VOLTS: Final = (
 def delta_g_elsewhere(
     block: Block, covariance: Floats, noise: Floats, readings: Readings, bench: BenchFile, model: ForwardModel,
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
+    meters: KnownMeters | None = None,
 ) -> Floats:  # fmt: skip
     """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day.
 
@@ -166,7 +170,7 @@ def delta_g_elsewhere(
     functionals = np.zeros((len(rows), len(readings), 3))
     functionals[np.arange(len(rows)), rows] = by_signal
     of_block = np.zeros((len(rows), 0))
-    for error in hidden_sources(bench, model, day):
+    for error in hidden_sources(bench, model, day, meters):
         if error.name == GRAVITY or (same_meters and error.kind in METERS):
             continue
         parts = parts_of(error, taken, functionals)
@@ -185,6 +189,7 @@ def delta_g_covariance(
     bench: BenchFile,
     model: ForwardModel,
     day: date | None = None,
+    meters: KnownMeters | None = None,
 ) -> Floats:
     """Return the covariance (v, v) of |a| at the verification rows of the table that `calibration` was made from.
 
@@ -210,7 +215,7 @@ def delta_g_covariance(
             whole += size**2 * gone * np.outer(by_signal[:, c], by_signal[:, c])
     if readings.unit != VOLTS:
         return np.asarray(whole)
-    for error in _acting(calibration, bench, model, day):
+    for error in _acting(calibration, bench, model, day, meters):
         if error.name != GRAVITY:
             parts = parts_of(error, taken, functionals)
             whole += parts @ parts.T
@@ -232,7 +237,11 @@ def _meters(bench: BenchFile) -> tuple[int, int, int]:
 
 
 def _acting(
-    calibration: Calibration, bench: BenchFile, model: ForwardModel, day: date | None
+    calibration: Calibration,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None,
+    meters: KnownMeters | None,
 ) -> list[ErrorSource]:
     """The errors that no reading shows.
 
@@ -241,7 +250,7 @@ def _acting(
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [
         error
-        for error in hidden_sources(bench, model, day)
+        for error in hidden_sources(bench, model, day, meters)
         if error.kind != "voltmeter_linearity" or error.u > shown
     ]
 

@@ -73,7 +73,8 @@ def sizes_left(
     white = whiten_rows(linear, noise, design, rows)
     free = 1.0 - np.einsum("np,pq,nq->n", white, fitted.covariance, white, optimize=True)
     oriented = linear.setting >= 0
-    left = (linear.response - design @ fitted.mean)[oriented].reshape(-1, 3)
-    slope = linear.slope[oriented].reshape(-1, 3)
+    of_run = linear.relative_of_run
+    left = ((linear.response - design @ fitted.mean) / of_run)[oriented].reshape(-1, 3)
+    slope = (linear.slope / of_run)[oriented].reshape(-1, 3)
     floor = 1e-11 * float(np.max(np.abs(linear.readings.signal)))
     return by_channel(left, free[oriented].reshape(-1, 3).mean(axis=1), slope, cells_of(linear), floor)

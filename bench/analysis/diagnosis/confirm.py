@@ -175,7 +175,7 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
     design = np.concatenate([fixed.fixed, fixed.random], axis=1)
     of_g = (linear.setting >= 0) | (linear.rows.channel > 2)
     error = (linear.response - design @ fitted.mean)[of_g] * linear.g_per_signal[of_g]
-    variance = noise.reading**2 + (noise.setting_rad * linear.slope) ** 2
+    variance = (noise.reading * linear.relative) ** 2 + (noise.setting_rad * linear.slope) ** 2
     variance -= np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
     expected = np.sqrt(np.maximum(variance, 0.0))[of_g] * linear.g_per_signal[of_g]
     return Model(chi2 / (len(linear) - FIXED), rms([error]), rms([expected])), chi2

@@ -98,7 +98,7 @@ def diagnose(
         effects = (*effects, _unexplained(p_left))
     gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
     described = tuple(noise_kinds(linear, noise, looked.weighed, digit, looked.slow))
-    findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit)
+    findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run)
     of_copy = _verdict(False, effects, findings, gap)
     instead: tuple[int, ...] = ()
     # with several blocks no form competes with a name: each of the ratios would take the products of all forms

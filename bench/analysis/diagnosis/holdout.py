@@ -131,7 +131,7 @@ def _held_out(
     fitted = posterior(linear, effects, noise, ~held)
     error, chi2 = predicted_error(linear, effects, noise, fitted, held)
     design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[held]
-    variance = noise.reading**2 + (noise.setting_rad * linear.slope[held]) ** 2
+    variance = (noise.reading * linear.relative[held]) ** 2 + (noise.setting_rad * linear.slope[held]) ** 2
     variance += np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
     to_g = linear.g_per_signal[held]
     return HeldOut(error, error * to_g, np.sqrt(variance) * to_g, chi2)

@@ -6,7 +6,7 @@ is the stand's and the meters' is the same for all: what is too small for one ru
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -40,14 +40,23 @@ class JointSystem(LinearSystem):
     @property
     def g_per_signal(self) -> Floats:
         """What turns a row into g (N,), each by its own block."""
+        return self._of_each_block(lambda part: part.g_per_signal)
+
+    def _of_each_block(self, of: Callable[[LinearSystem], Floats]) -> Floats:
+        """Return what is of a row by its own block, shape (N,)."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         block = self.readings.block[self.rows.reading]
         size = np.empty(len(self))
         for number, part in zip(np.unique(self.readings.block), self.parts, strict=True):
             mine = block == number
             rows = Rows(self.rows.reading[mine], self.rows.channel[mine])
-            size[mine] = replace(part, readings=self.readings, rows=rows).g_per_signal
+            size[mine] = of(replace(part, readings=self.readings, rows=rows, response=self.response[mine]))
         return size
+
+    @property
+    def relative_of_channel(self) -> Floats:
+        """How large the noise of a row is for its channel (N,), of a modulus as its own block shows it."""
+        return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
 
     @cached_property
     def conditions(self) -> Conditions:

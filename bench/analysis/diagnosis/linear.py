@@ -42,6 +42,17 @@ class Rows:
 
 
 @dataclass(frozen=True)
+class RunSizes:
+    """How large the noise of each run is beside the others' (runs,), and the degrees of freedom (runs,) of each.
+
+    The mean of the squares over the rows is 1.
+    """
+
+    sizes: Floats
+    freedom: Floats
+
+
+@dataclass(frozen=True)
 class LinearSystem:
     """y = X c + Z b + noise about a first guess of the block.
 
@@ -51,7 +62,7 @@ class LinearSystem:
     `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is how
     the block stood at the verification points, None where they do not tell it; where it contradicts the bench file
     the installation V of `model` is as measured. `by_channel` (3,) is how large the noise of a channel is beside
-    the others', 1 on the average of squares.
+    the others', 1 on the average of squares; `by_run` the same of each of several runs, None where they are alike.
     """
 
     readings: Readings
@@ -68,6 +79,7 @@ class LinearSystem:
     problem: Problem
     orientation: Orientation | None
     by_channel: Floats = field(default_factory=lambda: np.ones(3), kw_only=True)
+    by_run: RunSizes | None = field(default=None, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.response)
@@ -89,14 +101,26 @@ class LinearSystem:
 
     @cached_property
     def relative(self) -> Floats:
-        """How large the noise of a row is, 1 for a channel of average noise, shape (N,)."""
+        """How large the noise of a row is, 1 for a channel and a run of average noise, shape (N,)."""
+        return self.relative_of_channel * self.relative_of_run
+
+    @cached_property
+    def relative_of_run(self) -> Floats:
+        """The same for the run alone, 1 where runs are alike, shape (N,)."""
+        if self.by_run is None:
+            return np.ones(len(self))
+        return np.asarray(self.by_run.sizes[self.readings.run[self.rows.reading]])
+
+    @property
+    def relative_of_channel(self) -> Floats:
+        """The same for the channel alone, shape (N,)."""
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
         modulus = self.rows.channel == MODULUS
         if modulus.any():
-            place = np.searchsorted(self.view.moduli, self.rows.reading[modulus])
-            size[modulus] = np.linalg.norm(self.view.by_signal[place] * self.by_channel, axis=1)
+            by_signal = _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[1]
+            size[modulus] = np.linalg.norm(by_signal * self.by_channel, axis=1)
         return size
 
     @property

@@ -7,12 +7,14 @@ may hide in it. Noise that is smaller than stated is none; a bench file states l
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy import special
 
+from bench.analysis.diagnosis.linear import RunSizes
 from bench.analysis.diagnosis.posterior import NoiseSize
 from bench.base.arrays import ARCSEC, rms
 from bench.base.numbers import quantity
@@ -31,7 +33,8 @@ BENCH_FILE: Final = "the bench file"
 class NoiseFinding:
     """Noise of a reading ("reading") or a setting ("setting") that is larger than the `source` states.
 
-    `found` and `stated` in `unit`, `factor` times one another; `p` is the probability of so much by chance.
+    `found` and `stated` in `unit`, `factor` times one another; `p` is the probability of so much by chance, all
+    runs counted. It is that of the run with these `series`, where runs have noise of their own.
     """
 
     what: str
@@ -41,11 +44,14 @@ class NoiseFinding:
     factor: float
     p: float
     source: str
+    series: tuple[int, ...] = ()
 
     @property
     def words(self) -> str:
         """A sentence: what, by how much, what it may mean."""
         of = "a reading" if self.what == "reading" else "a setting of the head"
+        if self.series:
+            of += f" of series {', '.join(str(number) for number in self.series)}"
         found, stated = (quantity(size, self.unit) for size in (self.found, self.stated))
         return (
             f"the noise of {of} is {found}, {self.factor:.1f} times the {stated} that {self.source} "
@@ -69,33 +75,56 @@ def noise_findings(
     stand_u: Mapping[str, float],
     typical_slope: float,
     digit: float = 0.0,
+    by_run: RunSizes | None = None,
 ) -> tuple[NoiseFinding, ...]:
     """Return where the noise found is larger than stated, significantly and by more than a factor of two.
 
     `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file, `typical_slope` is
     how a setting error shows in all three signals, unit of the signal per rad, `digit` the step of the signals'
-    last digit: rounding to it is expected.
+    last digit: rounding to it is expected. Runs with noise of their own, `by_run`, are each held against what is
+    stated of them.
     """
-    return tuple(_findings(noise, readings, stand_u, typical_slope, digit))
+    of_readings = _of_readings if by_run is None else partial(_of_runs, by_run)
+    found = [*of_readings(noise, readings, stand_u, digit), *_of_settings(noise, stand_u, typical_slope)]
+    return tuple(one for one in found if one.factor > LARGER and one.p < SIGNIFICANT)
 
 
-def _findings(
-    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], typical_slope: float, digit: float
+def _of_readings(
+    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float
 ) -> Iterator[NoiseFinding]:
+    """Yield the noise of readings beside what is stated of it."""
     stated = _stated(readings, stand_u, digit / np.sqrt(12.0))
     if stated is not None:
         factor = noise.reading / stated.size
         p = float(special.fdtrc(noise.freedom, min(stated.freedom, 1e9), factor**2))
-        if factor > LARGER and p < SIGNIFICANT:
-            yield NoiseFinding("reading", noise.reading, stated.size, readings.unit, factor, p, stated.source)
+        yield NoiseFinding("reading", noise.reading, stated.size, readings.unit, factor, p, stated.source)
+
+
+def _of_runs(
+    by_run: RunSizes, noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float
+) -> Iterator[NoiseFinding]:
+    """Yield that of each run by itself."""
+    runs = len(by_run.sizes)
+    for number in range(runs):
+        own = readings.select(readings.run == number)
+        size = noise.reading * float(by_run.sizes[number])
+        of_run = replace(noise, reading=size, freedom=max(round(float(by_run.freedom[number])), 1))
+        series = tuple(int(one) for one in np.unique(own.series))
+        for found in _of_readings(of_run, own, stand_u, digit):
+            yield replace(found, p=min(runs * found.p, 1.0), series=series)
+
+
+def _of_settings(
+    noise: NoiseSize, stand_u: Mapping[str, float], typical_slope: float
+) -> Iterator[NoiseFinding]:
+    """Yield the error of settings beside what the bench file says."""
     setting = stand_u.get("setting_error", 0.0)
-    if setting > 0.0 and noise.setting_rad > LARGER * setting:
+    if setting > 0.0:
         along = [noise.reading**2 + (size * typical_slope) ** 2 for size in (noise.setting_rad, setting)]
         freedom = noise.freedom / 3.0
         p = float(special.chdtrc(freedom, freedom * along[0] / along[1]))
-        if p < SIGNIFICANT:
-            found, limit = noise.setting_rad / ARCSEC, setting / ARCSEC
-            yield NoiseFinding("setting", found, limit, "arcsec", found / limit, p, BENCH_FILE)
+        found, limit = noise.setting_rad / ARCSEC, setting / ARCSEC
+        yield NoiseFinding("setting", found, limit, "arcsec", found / limit, p, BENCH_FILE)
 
 
 def _stated(readings: Readings, stand_u: Mapping[str, float], rounding: float) -> _Stated | None:

@@ -133,7 +133,10 @@ def make_noise_grid(
         distance = (np.log(np.maximum(grid, 0.25)) - known) / RATIO_SPREAD
         log_prior = -0.5 * np.minimum(distance**2, 25.0)
         log_prior = log_prior - np.logaddexp.reduce(log_prior)
-    freedom = len(linear) - linear.fixed.shape[1]
+    # sizes of runs beside each other come from the same readings
+    freedom = (
+        len(linear) - linear.fixed.shape[1] - (0 if linear.by_run is None else len(linear.by_run.sizes) - 1)
+    )
     return NoiseGrid(tuple(whites), np.array(log_dets), log_prior, grid / typical, sigma, freedom)
 
 

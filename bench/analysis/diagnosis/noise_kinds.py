@@ -18,7 +18,7 @@ from bench.base.numbers import quantity
 
 @dataclass(frozen=True)
 class NoiseKind:
-    """One thing that the noise is: unequal "channels", heavy "tails", "slow" noise, a coarse "resolution"."""
+    """What the noise is: unequal "channels" or "runs", with heavy "tails", "slow", of a coarse "resolution"."""
 
     what: str
     words: str
@@ -37,6 +37,12 @@ def noise_kinds(
         sizes = noise.reading * linear.by_channel
         told = ", ".join(f"{quantity(size, unit)} in {c}" for c, size in zip(CHANNELS, sizes, strict=True))
         yield NoiseKind("channels", f"the channels have noise of different sizes: {told}")
+    if linear.by_run is not None:
+        own = ", ".join(
+            f"{quantity(noise.reading * float(size), unit)} in series {', '.join(str(s) for s in series)}"
+            for series, size in zip(_series(linear), linear.by_run.sizes, strict=True)
+        )
+        yield NoiseKind("runs", f"the runs have noise of different sizes, and each weighs by its own: {own}")
     if weighed is not None:
         yield NoiseKind(
             "tails",
@@ -56,3 +62,9 @@ def noise_kinds(
             f"the signals' last digit is {quantity(digit, unit)}, coarser than their noise: readings of a setting "
             "are rounded alike, and what is smaller than the digit may stay hidden",
         )
+
+
+def _series(linear: LinearSystem) -> list[list[int]]:
+    """Return the series of each run."""
+    readings = linear.readings
+    return [np.unique(readings.series[readings.run == number]).tolist() for number in np.unique(readings.run)]

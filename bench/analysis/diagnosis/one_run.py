@@ -16,6 +16,7 @@ from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.looked import SAME_SIZE, Looked
 from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.analysis.diagnosis.noise_of_runs import with_sizes_of_runs
 from bench.analysis.diagnosis.posterior import noise_size, posterior
 from bench.analysis.diagnosis.repeats import noise_of_repeats
 from bench.analysis.diagnosis.runs import candidates_of
@@ -35,10 +36,14 @@ ALONE: Final = 0.002
 
 @dataclass(frozen=True)
 class _Run:
-    """A run by itself: its rows of the whole, with what all runs have in common taken off."""
+    """A run by itself: its rows of the whole, with what all runs have in common taken off.
+
+    `size` is how large its noise is beside that of all.
+    """
 
     rows: Mask
     linear: LinearSystem
+    size: float
 
 
 COMMON: Final = 5
@@ -76,7 +81,9 @@ def look_at_runs(
 ) -> tuple[Looked, Naming]:
     """Prepare readings of several runs and find what is missing; arguments and errors as of `look` for one."""
     each = _EachRun(stand, setting_rad, cache, absent)
-    looked, naming = _looked(make_system(readings, model, stand), resolution, each)
+    whole = make_system(readings, model, stand)
+    whole = with_sizes_of_runs(whole, resolution / np.sqrt(12.0))
+    looked, naming = _looked(whole, resolution, each)
     noise = noise_size(looked.whitened, looked.data, naming.columns)
     weighed = weigh_down(looked.linear, looked.candidates, naming, noise)
     if weighed is not None:
@@ -159,7 +166,7 @@ def _look_in_each(
     One threshold, that of the first run, serves for all, at a part of the probability for each. Coefficients are
     free in every run: what one has of another zero or scale factor is no find here.
     """
-    candidates, sigma = whole.candidates, each.sigma
+    candidates = whole.candidates
     columns = candidates.columns[:, list(naming.columns)]
     common = np.zeros(0)
     if naming.found:
@@ -168,6 +175,7 @@ def _look_in_each(
     found: list[Found] = []
     runs = list(_runs(linear, columns @ common, each))
     for run in tracked(runs, "runs, each by itself"):
+        sigma = each.sigma * run.size
         own = make_candidates(run.linear, sigma, absent=each.absent)
         whitened = Whitened.of(make_noise_grid(run.linear, sigma, each.setting_rad), own)
         if limit is None:
@@ -187,7 +195,9 @@ def _runs(linear: LinearSystem, in_all: Floats, each: _EachRun) -> Iterator[_Run
         alone = make_linear(table, linear.model, each.stand_u)
         pull = 0.0 if each.pull is None else each.pull[rows]
         alone = replace(alone, response=alone.response + pull - in_all[rows])
-        yield _Run(rows, alone if each.by_channel is None else replace(alone, by_channel=each.by_channel))
+        size = 1.0 if linear.by_run is None else float(linear.by_run.sizes[number])
+        alone = alone if each.by_channel is None else replace(alone, by_channel=each.by_channel)
+        yield _Run(rows, alone, size)
 
 
 def _embedded(candidates: Candidates, own: Candidates, one: Found, run: _Run) -> tuple[Candidates, Found]:

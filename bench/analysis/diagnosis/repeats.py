@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.diagnosis.linear import LinearSystem
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, Mask
 
 LEAST_FREEDOM: Final = 6
 """Settings beyond the saturated description below which repeats tell too little."""
@@ -33,26 +33,54 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     likelihood): what describes a setting brings errors of others to it, across its own du/dphi as well. Where there
     are too few repeats, the scatter about the model stands in. Never below rounding to `resolution`.
     """
+    parts = parts_of_repeats(linear)
+    floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(linear.readings.signal))))
+    if parts.freedom < LEAST_FREEDOM:
+        return Repeats(max(_about_model(linear), floor), max(linear.settings - 4, 1))
+    return Repeats(max(likeliest(parts).sigma, floor), parts.freedom)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Squares (m,) of independent parts of what repeats leave, and the setting error's share `along` (m,) in each.
+
+    In units of the rows' noise beside each other; `freedom` in settings.
+    """
+
+    squares: Floats
+    along: Floats
+    freedom: int
+
+
+@dataclass(frozen=True)
+class Likeliest:
+    """The likeliest noise, its degrees of freedom beside a setting error, and the squares over what is expected."""
+
+    sigma: float
+    freedom: float
+    scaled: Floats
+
+
+def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> Parts:
+    """Return what repeats of settings leave, of all readings or of those `chosen` (n,): whole mountings."""
     oriented = linear.setting >= 0
     readings = linear.readings
     reading = linear.rows.reading[oriented][::3]
-    left = linear.response[oriented].reshape(-1, 3)
-    slope = linear.slope[oriented].reshape(-1, 3)
+    left = (linear.response / linear.relative)[oriented].reshape(-1, 3)
+    slope = (linear.slope / linear.relative)[oriented].reshape(-1, 3)
     angle = np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int)
     mount = np.array(_mounts(linear))
-    squares, along, freedom = [], [], 0
-    for label in dict.fromkeys(mount.tolist()):
+    used = np.ones(len(mount), dtype=bool) if chosen is None else chosen[reading]
+    squares, along, freedom = [np.zeros(0)], [np.zeros(0)], 0
+    for label in dict.fromkeys(mount[used].tolist()):
         own = mount == label
         passes = readings.pass_number[reading]
         free = _beyond(_saturated(angle[own], passes[own], readings.angle_rad[reading][own]))
-        part = _of_mount(free, left[own] / linear.by_channel, slope[own] / linear.by_channel)
+        part = _of_mount(free, left[own], slope[own])
         squares.append(part[0])
         along.append(part[1])
         freedom += free.shape[1]
-    floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(readings.signal))))
-    if freedom < LEAST_FREEDOM:
-        return Repeats(max(_about_model(linear), floor), max(len(left) - 4, 1))
-    return Repeats(max(_likeliest(np.concatenate(squares), np.concatenate(along)), floor), freedom)
+    return Parts(np.concatenate(squares), np.concatenate(along), freedom)
 
 
 def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
@@ -68,13 +96,19 @@ def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats
     return parts**2, along
 
 
-def _likeliest(squares: Floats, along: Floats) -> float:
-    """Return the noise of which, with a setting error, these `squares` are the likeliest."""
+def likeliest(parts: Parts) -> Likeliest:
+    """Return the noise of which, with a setting error, these parts are the likeliest."""
+    squares, along = parts.squares, parts.along
     ratio = RATIOS2 / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
     noise2 = np.mean(squares / size, axis=1)
     misfit = len(squares) * np.log(np.maximum(noise2, 1e-300)) + np.sum(np.log(size), axis=1)
-    return float(np.sqrt(noise2[np.argmin(misfit)]))
+    best = int(np.argmin(misfit))
+    # of the information on the noise the setting error takes what both have in common
+    shared = along / size[best]
+    taken = float(shared.sum()) ** 2 / max(float(shared @ shared), 1e-300)
+    expected = np.maximum(noise2[best], 1e-300) * size[best]
+    return Likeliest(float(np.sqrt(noise2[best])), len(squares) - taken, squares / expected)
 
 
 def _about_model(linear: LinearSystem) -> float:

@@ -79,11 +79,15 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def _row_sizes(linear: LinearSystem, sets: int, rng: np.random.Generator) -> Floats:
-    """Return the noise of the rows: where channels differ, as far from what was estimated as estimates are."""
-    if np.all(linear.by_channel == 1.0):
-        return np.ones((len(linear), 1))
-    off = np.exp(CHANNEL_U * rng.standard_normal((4, sets)))
-    return np.asarray(linear.relative[:, None] * off[linear.rows.channel])
+    """Return the noise of the rows: where channels or runs differ, as far off the estimates as these are."""
+    size = linear.relative[:, None]
+    if np.any(linear.by_channel != 1.0):
+        size = size * np.exp(CHANNEL_U * rng.standard_normal((4, sets)))[linear.rows.channel]
+    if linear.by_run is not None:
+        u = np.sqrt(0.5 / linear.by_run.freedom)[:, None]
+        off = np.exp(u * rng.standard_normal((len(u), sets)))
+        size = size * off[linear.readings.run[linear.rows.reading]]
+    return np.asarray(size)
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
@@ -169,13 +173,20 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
     ]
     if readings.run.any():
         parts += [readings.run.tolist(), None if readings.block is None else readings.block.tolist()]
+    if linear.by_run is not None:
+        parts += [size_steps(linear.by_run.sizes), np.round(linear.by_run.freedom / 10).tolist()]
     parts += formulas()
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 
 
 def channel_steps(linear: LinearSystem) -> list[int]:
     """Return the sizes of the channels' noise on the coarse grid of thresholds."""
-    steps: list[int] = np.round(np.log(linear.by_channel) / np.log(CHANNEL_STEP)).astype(int).tolist()
+    return size_steps(linear.by_channel)
+
+
+def size_steps(sizes: Floats) -> list[int]:
+    """Return sizes of noise on that grid."""
+    steps: list[int] = np.round(np.log(sizes) / np.log(CHANNEL_STEP)).astype(int).tolist()
     return steps
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Final
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from bench.analysis.calibration.same_meters import METERS_DRIFT
 from bench.analysis.history.comparison import Snapshot
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Ints
 from bench.model.block import COEFFICIENTS
 
 SECONDS_PER_DAY: Final = 86400.0
@@ -34,6 +35,55 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
             alike = _still_alike(first, other) * meters[i] * meters[j] + _of_block(first, other)
             found[:, i, j] = found[:, j, i] = alike
     return found
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The covariance of all twelve coefficients of n calibrations, in its parts.
+
+    `own` (n, 12, 12) belongs to each alone; `meters` (n, 12, 12) are roots of what meters bring, correlated by
+    `alike` (n, n); `terms` (n, 12, q) are what K2 and K3 of a block bring to all its calibrations; `block` (n,)
+    tells which.
+    """
+
+    own: Floats
+    meters: Floats
+    alike: Floats
+    terms: Floats
+    block: Ints
+
+    def of_sums(self, weights: Floats) -> Floats:
+        """Return the covariance (12, 12) of sums over calibrations, each coefficient with its weights (12, n)."""
+        found = np.einsum("kn,ln,nkl->kl", weights, weights, self.own, optimize=True)
+        meters = weights.T[:, :, None] * self.meters
+        n, size, _ = meters.shape
+        mixed = (self.alike @ meters.reshape(n, -1)).reshape(n, size, -1)
+        found += np.einsum("nka,nla->kl", meters, mixed, optimize=True)
+        for one in np.unique(self.block):
+            here = self.block == one
+            summed = np.einsum("kn,nkq->kq", weights[:, here], self.terms[here], optimize=True)
+            found += summed @ summed.T
+        return np.asarray(0.5 * (found + found.T))
+
+
+def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
+    """Return what n calibrations have in common over all twelve coefficients; as `joint_covariances`."""
+    size = len(COEFFICIENTS)
+    meters = np.array([s.covariance - s.without_meters for s in snapshots])
+    level, along = np.linalg.eigh(meters)
+    roots = (along * np.sqrt(np.maximum(level, 0.0))[:, None, :]) @ along.swapaxes(1, 2)
+    none = np.zeros((size, 0))
+    listed = [none if s.block_terms is None else s.block_terms for s in snapshots]
+    most = max(one.shape[1] for one in listed)
+    terms = np.array([np.pad(one, ((0, 0), (0, most - one.shape[1]))) for one in listed])
+    names: dict[tuple[str, int], int] = {}
+    block = [
+        names.setdefault((s.block, one.shape[1]), len(names))
+        for s, one in zip(snapshots, listed, strict=True)
+    ]
+    alike = np.array([[1.0 if a is b else _still_alike(a, b) for b in snapshots] for a in snapshots])
+    own = np.array([s.without_meters for s in snapshots]) - terms @ terms.swapaxes(1, 2)
+    return Joint(own, roots, alike, terms, np.array(block, dtype=np.int64))
 
 
 def _still_alike(first: Snapshot, other: Snapshot) -> float:

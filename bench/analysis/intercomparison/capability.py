@@ -1,8 +1,8 @@
 """Calibration and measurement capability: what uncertainty a laboratory reaches, from its own history.
 
 For each coefficient the stated uncertainty that a share of everyday calibrations reaches, and with it what stated
-uncertainties have not in them: calibrations of one unit that scatter more over time, and benches that differ. The
-units at hand are the best existing devices: how they change between calibrations is in the scatter.
+uncertainties have not in them: calibrations of one unit that scatter more over time, and benches that differ. A
+drift of the units, as far as it is shown, is no scatter of the laboratory and is taken out.
 Sources: ILAC-P14:09/2020, 5 (expanded uncertainty, k = 2, best existing device); H. A. David, H. N. Nagaraja,
 Order Statistics (2003), 7.1 (limits of quantiles).
 """
@@ -17,9 +17,10 @@ from scipy import stats
 
 from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.intercomparison.crossed import BENCH, EXCESS, Crossing, fit, most
+from bench.analysis.intercomparison.crossed import Crossing
+from bench.analysis.intercomparison.drifting import Apart, Within, apart, histories
 from bench.analysis.intercomparison.measured import STANDARD_GRAVITY, Measured, coded
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Ints
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS
 
@@ -30,29 +31,39 @@ LEAST_CALIBRATIONS: Final = 20
 LEAST_REPEATS: Final = 10
 """With so many degrees of freedom a standard deviation is known to 22 %."""
 LEAST_DAYS: Final = 180
+LEAST_RUNS: Final = 3
+"""Of a unit; fewer tell nothing of its drift."""
+YEAR: Final = np.timedelta64(31_557_600, "s")
 
 
 @dataclass(frozen=True)
 class Capability:
     """The capability, (12,) each: `stated` u at the share `quantile` with its limit `stated_most` of 95 %.
 
-    `scatter` of calibrations of a unit in excess of what is stated and `bench` between benches, 1 sigma, with
-    limits of 95 %; `bench` is NaN where there is one bench. `below` counts calibrations whose stated U is below the
-    capability: their certificates are to state the latter.
+    `apart` (12 items) has the scatter of calibrations of a unit in excess of what is stated, what benches differ by
+    and what units drift by. `below` counts calibrations whose stated U is below the capability: their certificates
+    are to state the latter.
     """
 
     quantile: float
     stated: Floats
     stated_most: Floats
-    scatter: Floats
-    scatter_most: Floats
-    bench: Floats
-    bench_most: Floats
+    apart: tuple[Apart, ...]
     below: Floats
     counts: dict[str, Any]
     signal: str
     simulated: bool
     notes: tuple[str, ...]
+
+    @property
+    def scatter(self) -> Floats:
+        """Scatter in excess of what is stated, 1 sigma, (12,)."""
+        return np.array([one.scatter for one in self.apart])
+
+    @property
+    def bench(self) -> Floats:
+        """What benches differ by, 1 sigma, (12,); NaN where there is one bench."""
+        return np.array([one.bench for one in self.apart])
 
     @property
     def u(self) -> Floats:
@@ -67,9 +78,8 @@ class Capability:
     def to_json(self) -> dict[str, Any]:
         """Return the promised form."""
         rows = zip(
-            COEFFICIENTS, self.U, self.u, self.stated, self.stated_most, self.scatter, self.scatter_most,
-            self.bench, self.bench_most, self.below, strict=True,
-        )  # fmt: skip
+            COEFFICIENTS, self.U, self.u, self.stated, self.stated_most, self.apart, self.below, strict=True
+        )
         return {
             "quantity": "coefficients of a triaxial accelerometer block, by gravity",
             "device": "the best existing: the blocks of the history",
@@ -83,12 +93,18 @@ class Capability:
                 name: {
                     "U": float(U), "u": float(u),
                     "stated": {"value": float(own), "at_most": finite_or_none(float(own_most))},
-                    "scatter_over_time": {"value": float(s), "at_most": finite_or_none(float(s_most))},
-                    "between_benches": None if np.isnan(b) else
-                    {"value": float(b), "at_most": finite_or_none(float(b_most))},
+                    "scatter_over_time": {
+                        "value": one.scatter, "at_least": one.scatter_least,
+                        "at_most": finite_or_none(one.scatter_most),
+                    },
+                    "between_benches": None if np.isnan(one.bench) else
+                    {"value": one.bench, "at_most": finite_or_none(one.bench_most)},
+                    "drift_of_units": {
+                        "rate": one.rate, "walk": one.walk, "p": one.p, "taken_out": one.shown
+                    },
                     "calibrations_that_state_less": int(less),
                 }
-                for name, U, u, own, own_most, s, s_most, b, b_most, less in rows
+                for name, U, u, own, own_most, one, less in rows
             },
             "notes": list(self.notes),
         }  # fmt: skip
@@ -105,34 +121,47 @@ def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
     days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
     several = len(benches) > 1
     _refuse_short(crossing, days, several=several)
-    variance = measured.own_variance
-    found = [
-        fit(crossing, np.ascontiguousarray(y), np.ascontiguousarray(v), without=None if several else BENCH)
-        for y, v in zip(measured.vector.T, variance.T, strict=True)
-    ]
+    of = histories(unit, bench, (measured.when - measured.when.min()) / YEAR)
+    told = bool(np.any(of.runs >= LEAST_RUNS))
+    found = tuple(
+        apart(Within(of, y, v), several=several, drifts=told)
+        for y, v in zip(measured.vector.T, measured.own_variance.T, strict=True)
+    )
     stated = np.sort(np.sqrt(measured.variance), axis=0)
     ranks = _ranks(len(measured), quantile)
-    sizes = np.array([one.sizes for one in found])
-    limits = np.array(
-        [[most(one, j) if j == EXCESS or several else np.nan for j in (EXCESS, BENCH)] for one in found]
-    )
-    notes = ["scatter over time has in it what the units drift by from one calibration to the next"]
-    if not several:
-        notes.append("one bench alone: what another would differ by is not in it")
     shown = Capability(
-        quantile, stated[ranks[0]], stated[ranks[1]], sizes[:, EXCESS], limits[:, 0],
-        sizes[:, BENCH] if several else np.full(len(COEFFICIENTS), np.nan), limits[:, 1],
-        np.zeros(len(COEFFICIENTS)),
+        quantile, stated[ranks[0]], stated[ranks[1]], found, np.zeros(len(COEFFICIENTS)),
         {
             "calibrations": len(measured), "units": len(units), "benches": benches.tolist(), "days": days,
             "first": str(measured.when.min().astype("datetime64[D]")),
             "last": str(measured.when.max().astype("datetime64[D]")),
-            "repeats": crossing.repeated,
+            "repeats": crossing.repeated, "units_with_too_few_runs": int(np.sum(of.runs < LEAST_RUNS)),
         },
-        measured.signal, measured.simulated, tuple(notes),
+        measured.signal, measured.simulated, _notes(found, of.runs, several=several),
     )  # fmt: skip
     below = np.sum(np.sqrt(measured.variance) < shown.u, axis=0)
     return Capability(**{**shown.__dict__, "below": below.astype(float)})
+
+
+def _notes(found: tuple[Apart, ...], runs: Ints, *, several: bool) -> tuple[str, ...]:
+    few = int(np.sum(runs < LEAST_RUNS))
+    notes = []
+    if few == len(runs):
+        notes.append(
+            f"no unit has {LEAST_RUNS} runs: what units drift by cannot be told, and is in the scatter over time"
+        )
+    else:
+        drifting = [name for name, one in zip(COEFFICIENTS, found, strict=True) if one.shown]
+        out = f"is taken out in {', '.join(drifting)}" if drifting else "is not shown in any coefficient"
+        notes.append(f"a drift of units {out}; elsewhere what may be a drift is in the scatter over time")
+        if few:
+            notes.append(
+                f"{few} of {len(runs)} units have fewer than {LEAST_RUNS} runs, too few to tell a drift of their "
+                "own: it is taken to be as large as that of the others"
+            )
+    if not several:
+        notes.append("one bench alone: what another would differ by is not in it")
+    return tuple(notes)
 
 
 def _ranks(count: int, quantile: float) -> tuple[int, int]:

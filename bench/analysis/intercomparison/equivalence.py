@@ -200,13 +200,17 @@ def _by(of: Participants, dark: float, method: str) -> Equivalence:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two benches on the `units` that both measured: the first less the second, with u, and E_n (k = 2)."""
+    """Two benches on the `units` that both measured: the first less the second, with u, and E_n (k = 2).
+
+    `map` (n,) makes the difference of the values.
+    """
 
     first: int
     second: int
     units: int
     difference: float
     u: float
+    map: Floats
 
     @property
     def en(self) -> float:
@@ -229,8 +233,10 @@ def pairs(of: Participants) -> tuple[Pair, ...]:
             columns = np.column_stack([np.eye(len(common))[unit], of.bench[rows] == i])
             weighed = linalg.solve(of.covariance[np.ix_(rows, rows)], columns, assume_a="pos")
             covariance = np.linalg.inv(columns.T @ weighed)
-            solution = covariance @ (weighed.T @ of.y[rows])
-            found.append(Pair(i, j, len(common), float(solution[-1]), float(np.sqrt(covariance[-1, -1]))))
+            to_difference = np.zeros(len(of.y))
+            to_difference[rows] = covariance[-1] @ weighed.T
+            u = float(np.sqrt(covariance[-1, -1]))
+            found.append(Pair(i, j, len(common), float(to_difference @ of.y), u, to_difference))
     return tuple(found)
 
 

@@ -15,6 +15,7 @@ from bench.base.numbers import finite_or_none
 
 if TYPE_CHECKING:
     from bench.analysis.learning.contradictions import Contradiction
+    from bench.analysis.learning.meters import MeterDifferences
 
 NONE: Final = 1e-6
 """A variance that is no larger part of what was stated is none."""
@@ -29,8 +30,6 @@ WAVE_NAMES: Final = (
 NEVER: Final = (
     "absolute gain of the voltmeters: 1 ppm of it is 1 ppm of every coefficient of every block",
     "absolute zero of the voltmeters: it goes whole into the biases of every block",
-    "differences between the voltmeters: each read one channel throughout, so that a difference passes for the "
-    "block's; runs of one block with the meters exchanged tell them",
 )
 
 
@@ -98,6 +97,7 @@ class Learned:
     `covariance`; `stated` (m,) their u before, rad. `variances` are those of remounts by kind, then of the drift by
     channel (unit of the signal, per root hour), with `variances_covariance` (k, k) of their squares. `noise`
     (4,) are the sizes of x, y, z and of the setting (rad). `known` is what a further calibration takes of it.
+    `meters` are the differences of the voltmeters, or a sentence on why they are not told.
     """
 
     runs: tuple[str, ...]
@@ -116,6 +116,7 @@ class Learned:
     not_told: Mapping[str, str]
     contradicting: tuple[Contradiction, ...] = ()
     too_many_contradict: bool = False
+    meters: MeterDifferences | str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,6 +144,8 @@ class Learned:
         yield Size("setting_error", float(size), _u(size, nu), "arcsec", nu)
         for v in self.variances[kinds:]:
             yield Size(v.name, v.size, v.u, f"{self.unit}/sqrt(h)", v.dof)
+        if not isinstance(self.meters, str):
+            yield from self.meters.sizes()
 
     def shown_waves(self) -> list[int]:
         """Return which harmonics of the head, counted from 0, are larger than chance makes them."""
@@ -165,7 +168,9 @@ class Learned:
             for size in self.sizes()
             if not size.told and size.name.endswith(".mean")
         ]
-        return [*told, *NEVER]
+        if isinstance(self.meters, str):
+            return [*told, *NEVER, *filter(None, [self.meters])]
+        return [*told, *NEVER, *self.meters.not_told()]
 
     def to_json(self) -> dict[str, Any]:
         """Return the promised form."""
@@ -178,6 +183,7 @@ class Learned:
                 "order": [v.name for v in self.variances],
                 "covariance": self.variances_covariance.tolist(),
             },
+            "meters": None if isinstance(self.meters, str) else self.meters.to_json(),
             "not_identified": self.not_identified(),
         }
 

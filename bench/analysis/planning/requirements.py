@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 
 from bench.analysis.budget.acceleration import delta_g, directions, measured
 from bench.analysis.budget.coefficients import Budget, make_budget
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import ErrorSource
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS

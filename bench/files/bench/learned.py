@@ -113,6 +113,38 @@ def _symmetric(covariance: Floats) -> bool:
     return bool(np.all(np.abs(covariance - covariance.T) <= 1e-9 * np.outer(u, u)))
 
 
+class MeterValuesEntry(FileModel):
+    """One quantity of each meter about the mean of its group, SI, with the covariance."""
+
+    values: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+
+class MetersEntry(FileModel):
+    """How meters differ, about `day`: those of one `group` were compared, by the `runs` that exchanged them."""
+
+    meters: Annotated[tuple[str, ...], Field(min_length=2)]
+    group: tuple[int, ...]
+    day: Day
+    gain: MeterValuesEntry
+    offset_v: MeterValuesEntry
+    runs: tuple[str, ...]
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> MetersEntry:
+        k = len(self.meters)
+        if len(self.group) != k or len(set(self.meters)) != k:
+            raise ValueError(f"each of {k} meters is named once and has a group")
+        for name, entry in (("gain", self.gain), ("offset_v", self.offset_v)):
+            lengths = {len(row) for row in entry.covariance}
+            if len(entry.values) != k or len(entry.covariance) != k or lengths != {k}:
+                raise ValueError(f"{name} of {k} meters has {k} values and a covariance of {k} rows of {k}")
+            matrix = np.array(entry.covariance)
+            if not _symmetric(matrix) or np.min(np.linalg.eigvalsh(matrix)) < -1e-9 * np.max(np.abs(matrix)):
+                raise ValueError(f"the covariance of {name} is none: it is symmetric and never negative")
+        return self
+
+
 class LearnedFile(FileModel):
     """What runs told of a bench; `sizes`, `contradicting` and `not_identified` are for the reader of the file."""
 
@@ -125,6 +157,7 @@ class LearnedFile(FileModel):
     runs: tuple[RunEntry, ...] = Field(min_length=1)
     stand: StandEntry
     noise: NoiseEntry
+    meters: MetersEntry | None = None
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     sizes: dict[str, Any] = Field(default_factory=dict)
@@ -162,7 +195,8 @@ def learned_for(bench: BenchFile) -> str:
         "head": bench.instruments.head.model_dump(mode="json"),
         "meters": [
             {"driver": m.driver, "channels": list(m.channels), "range": m.range}
-            for m in bench.instruments.voltmeters
+            # the same kinds on the same channels, in whichever order, exchanged or not
+            for m in sorted(bench.instruments.voltmeters, key=lambda m: m.channels)
         ],
     }
     return hashlib.sha256(json.dumps(own, sort_keys=True, default=str).encode()).hexdigest()

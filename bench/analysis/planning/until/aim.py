@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.budget.coefficients import Budget, make_budget
+from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import ErrorSource, stand_source
+from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.estimators import GLS
 from bench.analysis.planning.goals import Goal
 from bench.analysis.planning.points import Stand
