@@ -172,6 +172,15 @@ ISSUED: Final = Table(
 )
 """Certificates that this laboratory issued, as its registers tell: of which run, by name and head of its record."""
 
+DUES: Final = Table(
+    "dues",
+    METADATA,
+    Column("unit", Text, primary_key=True),
+    Column("asked", Text, primary_key=True),
+    Column("told", Text, nullable=False),
+)
+"""When units are due, as it was reckoned for a limit and an interval (`bench.catalogue.dues`), in JSON."""
+
 OF_A_RUN: Final = (USES, CALIBRATIONS, VERIFICATIONS, POINTS, DIAGNOSES)
 """Tables whose rows belong to a run, and are made anew when it is read again."""
 

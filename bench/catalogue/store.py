@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 VARIABLE: Final = "TRIAXIAL_BENCH_CATALOGUE"
 FILE: Final = "catalogue.sqlite"
-SCHEMA: Final = "0002"
+SCHEMA: Final = "0003"
 """The newest revision of `bench/catalogue/migrations`."""
 
 MISSING: Final = "the catalogue needs the package {}: pip install 'triaxial-bench[{}]'"

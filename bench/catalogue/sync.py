@@ -26,6 +26,7 @@ from sqlalchemy import delete, select, update
 from bench.api.errors import Refused
 from bench.base.progress import tracked
 from bench.base.visible import visible
+from bench.catalogue.dues import forget_dues
 from bench.catalogue.folder import Found, read_folder
 from bench.catalogue.instruments import Row
 from bench.catalogue.issued import issued_in
@@ -276,6 +277,7 @@ def _write(connection: Connection, batch: list[Found], known: dict[str, Row], do
                 "vanished": False,
             }
         )
+    _forget(connection, runs)
     for table in OF_A_RUN:
         _delete(connection, table, table.c.run, runs)
     _delete(connection, FOLDERS, FOLDERS.c.path, left)
@@ -283,6 +285,7 @@ def _write(connection: Connection, batch: list[Found], known: dict[str, Row], do
         known.pop(path, None)
     for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN):
         _upsert(connection, table, rows[table.name])
+    _forget(connection, runs)
     _upsert(connection, FOLDERS, folders)
 
 
@@ -298,6 +301,12 @@ def _places(connection: Connection, runs: list[int]) -> dict[int, str]:
 def _delete(connection: Connection, table: Table, column: Any, keys: list[Any]) -> None:
     for some in _batches(keys, MOST_IN):
         connection.execute(delete(table).where(column.in_(some)))
+
+
+def _forget(connection: Connection, runs: list[int]) -> None:
+    """Forget when the units of runs are due."""
+    for some in _batches(runs, MOST_IN):
+        forget_dues(connection, RUNS.c.id.in_(some))
 
 
 def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
@@ -319,6 +328,7 @@ def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
 def _put_back(connection: Connection, rows: list[Row]) -> None:
     """Mark folders, and their runs, as there again."""
     for row in rows:
+        forget_dues(connection, RUNS.c.path == row["path"])
         connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=False))
         connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=False))
 
@@ -353,6 +363,7 @@ def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
         if row["run"] is None or (row["reason"] or "").startswith(_COPY):
             connection.execute(delete(FOLDERS).where(FOLDERS.c.path == row["path"]))
         elif not row["vanished"]:
+            forget_dues(connection, RUNS.c.path == row["path"])
             connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=True))
             connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=True))
             count += 1

@@ -83,10 +83,11 @@ def unit_history(
     `limit_g` is the error allowed, by default the limit of its last verification. Raises `Refused` where none, or
     several, are of that name.
     """
-    name, table, simulated, notes = _calibrations_of(catalogue, unit)
+    name = _name_of(catalogue, unit)
+    table, simulated, notes = compared_of(catalogue, name)
     query = [f"unit={name}"]
-    limit = limit_g if limit_g is not None else _limit_of(catalogue, query)
-    found, why_not = _due_of(table, limit, interval_days or INTERVAL_DAYS, simulated=simulated)
+    limit = limit_g if limit_g is not None else limit_of(catalogue, query)
+    found, why_not = due_of(table, limit, interval_days or INTERVAL_DAYS, simulated=simulated)
     runs = answer(catalogue, query)
     return UnitHistory(name, runs, table, simulated, found, why_not, tuple(notes))
 
@@ -96,34 +97,14 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> CoefficientTable:
 
     Raises `Refused` where none, or several, are of that name.
     """
-    return _calibrations_of(catalogue, unit)[1]
+    return compared_of(catalogue, _name_of(catalogue, unit))[0]
 
 
-def _calibrations_of(catalogue: Catalogue, unit: str) -> tuple[str, CoefficientTable, bool, list[str]]:
-    """Return the name of a unit, its calibrations, whether they are simulated, and what a reader should know."""
-    name = _name_of(catalogue, unit)
+def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
+    """Return the calibrations of a unit (type and serial number), whether they are simulated, and what to know."""
     table = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in table.left_out]
-    return name, *_compared(table, notes), notes
-
-
-def due_units(
-    catalogue: Catalogue,
-    query: list[str],
-    *,
-    limit_g: float | None = None,
-    interval_days: float | None = None,
-) -> tuple[list[UnitHistory], dict[str, str]]:
-    """Return the units of a question, those that are due first; and by unit why nothing can be said of it."""
-    names = [row[0] for row in answer(catalogue, query, "units").rows if row[0] is not None]
-    found, odd = [], {}
-    for name in names:
-        history = unit_history(catalogue, name, limit_g=limit_g, interval_days=interval_days)
-        if history.due is None:
-            odd[name] = history.why_not_due
-        else:
-            found.append(history)
-    return sorted(found, key=lambda one: (one.due.date if one.due else np.datetime64("NaT"), one.unit)), odd
+    return *_compared(table, notes), notes
 
 
 def _name_of(catalogue: Catalogue, unit: str) -> str:
@@ -180,7 +161,7 @@ def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
     )
 
 
-def _limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
+def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
     """Return the limit of the last verification of a question, local g; None where none states one."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
@@ -195,9 +176,10 @@ def _limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
     return None if found is None else float(found)
 
 
-def _due_of(
+def due_of(
     table: CoefficientTable, limit_g: float | None, interval_days: float, *, simulated: bool
 ) -> tuple[Due | None, str]:
+    """Return when a unit of these calibrations is due, or None and why nobody knows."""
     if not len(table):
         return None, "no calibration that can be believed has a date"
     if limit_g is None:

@@ -181,9 +181,9 @@ def due(
     json: JsonOption = None,
 ) -> int:
     """When units are due, by their drift; the first first."""
+    from bench.catalogue.dues import due_units
     from bench.catalogue.questions import moment
     from bench.catalogue.store import open_catalogue
-    from bench.catalogue.unit import due_units
 
     printing.check_target(json)
     try:
@@ -194,8 +194,7 @@ def due(
         found, odd = due_units(
             opened, query or [], limit_g=_positive("--limit", limit), interval_days=_days(interval)
         )
-    told = [{"unit": one.unit, **one.due.to_json()} for one in found if one.due is not None]
-    told = [row for row in told if until is None or row["due"] < until]
+    told = [row for row in found if until is None or row["due"] < until]
     on = printing.console(json=json)
     if json != "-":
         _print_due(told, on)

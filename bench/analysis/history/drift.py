@@ -38,6 +38,8 @@ PRIOR_WIDTH: Final = (1.0, 4.0)
 FORGOTTEN: Final = 12.0
 """Sizes whose logarithmic density is so far below the greatest do not count."""
 LEVEL: Final = 0.95
+PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Of values, and of the two columns of a line, with one another."""
 
 
 @dataclass(frozen=True)
@@ -128,25 +130,37 @@ class States:
     columns: Floats
     left: Floats
 
+    @cached_property
+    def _foretold(self) -> tuple[Floats, Floats]:
+        """Coefficients, over all sizes, of mean (2, 12) and variance (3, 12) in powers of years from the last.
+
+        At each pair of sizes the mean is a line in time, and its variance a parabola.
+        """
+        at = np.stack([1.0 - self.columns[..., 0], self.last_year - self.columns[..., 1]], axis=-1)
+        slope = self.line[..., 1]
+        value = np.sum(at * self.line, axis=-1) + self.walked
+        along = np.sum(self.covariance * at[..., None, :], axis=-1)
+        spread = np.sum(at * along, axis=-1) + self.left + self.between
+        centre = np.sum(self.weight * value, axis=-1), np.sum(self.weight * slope, axis=-1)
+        off, turned = value - centre[0][:, None], slope - centre[1][:, None]
+        powers = (
+            spread + off**2,
+            2.0 * along[..., 1] + self.walk + 2.0 * off * turned,
+            self.covariance[..., 1, 1] + turned**2,
+        )
+        return np.array(centre), np.array([np.sum(self.weight * one, axis=-1) for one in powers])
+
     def predicted(self, years: Floats) -> tuple[Floats, Floats]:
         """Return mean and variance (d, 12) at years (d,) since the first calibration."""
-        at = np.stack([np.ones_like(years), years], axis=1)
-        columns = at[:, None, None, :] - self.columns
-        mean = np.einsum("dkmc,kmc->dkm", columns, self.line) + self.walked
-        further = (years - self.last_year)[:, None, None] * self.walk
-        own = np.einsum("dkmc,kmce,dkme->dkm", columns, self.covariance, columns)
-        return self._mixed(mean, own + self.left + further + self.between)
+        further = (years - self.last_year)[:, None]
+        mean, variance = self._foretold
+        return mean[0] + further * mean[1], variance[0] + further * (variance[1] + further * variance[2])
 
-    @cached_property
+    @property
     def rate(self) -> tuple[Floats, Floats]:
         """Mean and variance (12,) of the rate, per year."""
-        mean, variance = self._mixed(self.line[None, :, :, 1], self.covariance[None, :, :, 1, 1])
-        return mean[0], variance[0]
-
-    def _mixed(self, mean: Floats, variance: Floats) -> tuple[Floats, Floats]:
-        centre = np.sum(self.weight * mean, axis=-1)
-        spread = np.sum(self.weight * (variance + (mean - centre[..., None]) ** 2), axis=-1)
-        return centre, spread
+        mean, variance = self._foretold
+        return mean[1], variance[2]
 
 
 def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats | None = None) -> UnitDrift:
@@ -252,21 +266,28 @@ class _History:
         Return sums of squares and products of whitened innovations (12, m, 3, 3), the sum of logarithms of their
         variances, the walk of each (12, m, 3), and its variance (12, m).
         """
-        walked = np.zeros((*tau.shape, 3))
+        # component by component: arrays (12, m) that stay in the processor's cache
+        walked = [np.zeros_like(tau) for _ in range(3)]
         left, logs = np.zeros_like(tau), np.zeros_like(tau)
-        squares = np.zeros((*tau.shape, 3, 3))
+        sums = [np.zeros_like(tau) for _ in PRODUCTS]
         before = 0.0
         for year, y, own in zip(self.years, self.y, self.own, strict=True):
             left = left + q * (year - before)
             before = year
             spread = left + own[:, None] + tau
-            seen = np.stack([y, np.ones_like(y), np.full_like(y, year)], axis=-1)[:, None, :] - walked
-            squares += seen[..., :, None] * (seen / spread[..., None])[..., None, :]
+            inverse = 1.0 / spread
+            seen = [y[:, None] - walked[0], 1.0 - walked[1], year - walked[2]]
+            weighed = [one * inverse for one in seen]
+            for k, (i, j) in enumerate(PRODUCTS):
+                sums[k] += seen[i] * weighed[j]
             logs += np.log(spread)
-            part = left / spread
-            walked = walked + part[..., None] * seen
-            left = left * (1.0 - part)
-        return squares, logs, walked, left
+            for k, one in enumerate(weighed):
+                walked[k] += left * one
+            left = left - left * inverse * left
+        squares = np.zeros((*tau.shape, 3, 3))
+        for total, (i, j) in zip(sums, PRODUCTS, strict=True):
+            squares[..., i, j] = squares[..., j, i] = total
+        return squares, logs, np.stack(walked, axis=-1), left
 
 
 def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:

@@ -1,0 +1,97 @@
+"""When many units are due: as one by one, kept, and forgotten where a run of a unit changes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bench.catalogue import dues
+from bench.catalogue.dues import due_units
+from bench.catalogue.store import open_catalogue
+from bench.catalogue.sync import sync
+from bench.catalogue.unit import unit_history
+from tests.support.laboratory import write_run
+
+DAYS = ("2023-01-10", "2024-01-12", "2025-01-09", "2026-01-11")
+
+
+@pytest.fixture
+def catalogue(empty_folder, monkeypatch):
+    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**15))
+    for serial in ("1", "2"):
+        for day in DAYS[:3]:
+            write_run(Path("runs") / f"{serial}-{day}", serial=serial, created=f"{day}T08:00:00+00:00")
+    write_run(Path("runs") / "bare", serial="3", created=f"{DAYS[0]}T08:00:00+00:00")
+    with open_catalogue("there.sqlite") as opened:
+        sync(opened, ["runs"])
+        yield opened
+
+
+def counts(catalogue, **asked):
+    rows, odd = due_units(catalogue, [], **asked)
+    return {row["unit"]: row["calibrations"] for row in rows}, odd
+
+
+def test_units_are_due_as_one_by_one(catalogue):
+    rows, odd = due_units(catalogue, [], limit_g=5e-4, interval_days=100.0)
+    alone = {
+        row["unit"]: unit_history(catalogue, row["unit"], limit_g=5e-4, interval_days=100.0).due
+        for row in rows
+    }
+    assert rows == [
+        {"unit": name, **alone[name].to_json()}
+        for name in sorted(alone, key=lambda n: (str(alone[n].date), n))
+    ]
+    assert {row["basis"] for row in rows} == {"drift", "interval"}
+    assert (len(rows), odd) == (3, {})
+    assert [row["unit"] for row in due_units(catalogue, ["serial=2"], limit_g=5e-4)[0]] == ["block A 2"]
+
+
+def test_what_was_reckoned_is_kept_until_a_run_of_the_unit_changes(catalogue, monkeypatch):
+    before, _ = counts(catalogue, limit_g=5e-4)
+    assert before == {"block A 1": 3, "block A 2": 3, "block A 3": 1}
+    reckoned = []
+    whole = dues.due_of
+
+    def counted(table, *rest, **more):
+        reckoned.append(len(table))
+        return whole(table, *rest, **more)
+
+    monkeypatch.setattr(dues, "due_of", counted)
+    assert counts(catalogue, limit_g=5e-4)[0] == before
+    assert reckoned == []
+    # another limit is another question
+    counts(catalogue, limit_g=1e-3)
+    assert sorted(reckoned) == [1, 3, 3]
+    reckoned.clear()
+
+    write_run(Path("runs") / "new", serial="2", created=f"{DAYS[3]}T08:00:00+00:00")
+    sync(catalogue, ["runs"])
+    assert counts(catalogue, limit_g=5e-4)[0] == {**before, "block A 2": 4}
+    assert reckoned == [4]
+    reckoned.clear()
+
+    shutil.move("runs/new", "away")
+    sync(catalogue, ["runs"])
+    assert counts(catalogue, limit_g=5e-4)[0] == before
+    shutil.move("away", "runs/new")
+    sync(catalogue, ["runs"])
+    assert counts(catalogue, limit_g=5e-4)[0]["block A 2"] == 4
+    assert reckoned == [3, 4]
+
+
+def test_a_run_that_comes_while_it_is_reckoned_is_not_lost(catalogue, monkeypatch):
+    whole = dues.due_of
+
+    def meanwhile(table, *rest, **more):
+        if not Path("runs/new").exists():
+            write_run(Path("runs") / "new", serial="1", created=f"{DAYS[3]}T08:00:00+00:00")
+            sync(catalogue, ["runs"])
+        return whole(table, *rest, **more)
+
+    monkeypatch.setattr(dues, "due_of", meanwhile)
+    assert counts(catalogue, limit_g=5e-4)[0]["block A 1"] == 3
+    # what was reckoned without the new run was not kept
+    assert counts(catalogue, limit_g=5e-4)[0]["block A 1"] == 4
