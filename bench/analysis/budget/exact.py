@@ -171,4 +171,5 @@ def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator)
     if source.root is None:
         return drawn(source.distribution, shape, rng, source.dof)
     root = np.array(source.root)
-    return drawn(source.distribution, (shape[0], root.shape[1]), rng, source.dof) @ root.T
+    independent = drawn(source.distribution, (shape[0], root.shape[1]), rng, source.dof)
+    return np.asarray(independent @ root.T)
