@@ -34,6 +34,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+os.environ["OPENBLAS_NUM_THREADS"] = (
+    "1"  # as a batch has it: with more, a calibration's last digits are others
+)
 import numpy as np
 from pyarrow import parquet
 

@@ -143,7 +143,7 @@ def print_rejections(points: int, seed: int) -> None:
     print("| limits | baseline | true u / stated | T² | EWMA | s | all |\n|---|---|---|---|---|---|---|")
     rows: list[tuple[Basis, int, float]] = [("stated", runs, 1.0) for runs in (1, 10)]
     rows += [("scaled", 3, 1.0), ("scaled", 5, 1.5), ("scaled", 10, 0.7), ("scaled", 30, 1.0)]
-    rows += [("scatter", 15, 1.0)]
+    rows += [("scatter", 15, 1.0), ("scatter", 30, 1.0)]
     for row, (basis, runs, factor) in enumerate(rows):
         found = false_rejections(basis, runs, factor, points, seed + row)
         cells = [

@@ -19,6 +19,7 @@ from bench.analysis.calibration.mistakes import refuse_singular
 from bench.analysis.calibration.result import CalibrationError
 from bench.api.coefficients import read_coefficients
 from bench.api.errors import Refused
+from bench.api.learned import take_learned, with_effects
 from bench.api.source import NO_GRAVITY, check_gravity
 from bench.api.taken import BenchTaken, find_bench_file
 from bench.api.verification import Asked, judgement_of
@@ -29,6 +30,7 @@ from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.model import Block, ForwardModel
 from bench.procedure.load import load_procedure
+from bench.readings.corrected import VOLTS
 from drivers.clock import utc_now
 
 
@@ -105,12 +107,16 @@ def budget(
     judgement = judgement_of(file, Asked(limit, rule, guard_band))
     plan = load_procedure(find_procedure(procedure)).expand()
     block, about = _block(coefficients, file)
-    setup = make_setup(plan, file, _model(model, file), block)
+    today = utc_now().date()
+    learned = take_learned(taken.learned(), today, VOLTS)
+    setup = make_setup(plan, file, with_effects(_model(model, file), learned.effects), block)
     question = Question(
         file.unit_under_test.range, judgement.limit_g, judgement.rule, trials, same_voltmeters
     )
-    found = assess(setup, bench_sources(file, setup, utc_now().date()), estimator, question)
-    found = replace(found, beside=_learned_notes(taken))
+    found = assess(
+        setup, bench_sources(file, setup, today, learned.known), estimator, question, learned.known
+    )
+    found = replace(found, beside=learned.notes)
     head = {
         "bench": file.name,
         "bench_file": taken.to_dict(),
@@ -121,17 +127,6 @@ def budget(
         "readings": {"fitted": int(setup.fitted.sum()), "verification": int(setup.verification.sum())},
     }
     return BudgetResult(taken.words, head, found)
-
-
-def _learned_notes(taken: BenchTaken) -> tuple[str, ...]:
-    """Say that a budget keeps to the stated limits where the bench file names a learned file too."""
-    learned = taken.learned()
-    if learned is None:
-        return ()
-    return (
-        f"what was learned of bench {learned.bench} from {len(learned.runs)} runs ({learned.made}) is not used: a "
-        "budget is of the limits that the bench file states; a calibration that takes it states another u",
-    )
 
 
 def _check_trials(trials: int) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -15,9 +16,11 @@ import numpy as np
 from bench.analysis.budget.alike import KnownMeters, known_meters
 from bench.analysis.calibration.known import KnownNoise, KnownStand
 from bench.api.meters import learned_meters
+from bench.api.taken import BenchTaken
 from bench.files.bench.file import BenchFile
 from bench.files.bench.learned import LearnedFile
-from bench.model import AppliedEffect, Effect
+from bench.model import AppliedEffect, Effect, ForwardModel
+from bench.readings.corrected import VOLTS
 
 SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
@@ -64,6 +67,8 @@ def take_learned(
         why = "it comes from simulated runs, and these readings do not"
     else:
         notes = [f"{told} stands in place of the stated limits of the stand"]
+        if simulated is None and file.simulated:
+            notes.append(SIMULATED.format(bench=file.bench))
         if simulated and not file.simulated:
             notes.append("these readings are simulated, what was learned is not")
         known = _known(file, unit)
@@ -73,6 +78,22 @@ def take_learned(
             )
         return LearnedTaken(known, file.applied_effects(), file.own_effects(), tuple(notes))
     return LearnedTaken(notes=(f"{told} is not used: {why}; the stated limits count",))
+
+
+def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
+    """Return what counts for a run created at a civil time, by its bench file and where that lies.
+
+    A run's own copies say the same whenever it is looked at. Raises `FileMistakes`.
+    """
+    file = BenchTaken(bench, str(path), "", "").learned()
+    return take_learned(file, datetime.datetime.fromisoformat(created).date(), VOLTS, simulated=simulated)
+
+
+def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> ForwardModel:
+    """Return a model with learned effects of the bench beside its own; one that it has stays as it has it."""
+    there = {applied.effect.name for applied in model.effects}
+    further = tuple(applied for applied in effects if applied.effect.name not in there)
+    return replace(model, effects=(*model.effects, *further)) if further else model
 
 
 def with_meters(

@@ -12,6 +12,7 @@ from bench.analysis.planning.remedies import Outlook, outlook
 from bench.analysis.planning.settings import Cost, settings_of
 from bench.analysis.planning.until.outlook import TimeOutlook
 from bench.api.errors import Refused
+from bench.api.learned import learned_for_run
 from bench.api.taken import bench_path
 from bench.api.traceability import remarks
 from bench.api.until import outlook_until
@@ -31,6 +32,7 @@ from bench.procedure.check import (
 )
 from bench.procedure.load import load_procedure
 from bench.procedure.plan import Plan
+from drivers.clock import utc_now
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,10 @@ def look_ahead(procedure: str, bench: str | None, runs: Path, until: Sequence[st
     """
     plan, file = _load(procedure, bench)
     found = _find(plan, file, runs)
-    return replace(found, until=outlook_until(plan, file, until)) if until else found
+    if not until:
+        return found
+    learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
+    return replace(found, until=outlook_until(plan, file, until, learned))
 
 
 def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from bench.analysis.budget.alike import KnownMeters
 from bench.analysis.calibration.known import KnownStand
 from bench.api.errors import Refused
-from bench.api.learned import NOTHING, LearnedTaken, take_learned, with_meters
+from bench.api.learned import NOTHING, LearnedTaken, take_learned, with_effects, with_meters
 from bench.api.meters import voltmeter_names
 from bench.api.origin import Origin, Told, origin_beside, origin_of_run
 from bench.api.taken import BenchTaken, bench_of, recorded_sha256
@@ -213,10 +213,7 @@ def _load(given: Given, request: Request) -> Source:
     as_read = readings
     bench, readings, traced = trace(taken, bench, readings, told.origin)
     learned = _learned(given, taken, bench, as_read, traced, run, told)
-    there = {applied.effect.name for applied in model.effects}
-    further = tuple(applied for applied in learned.effects if applied.effect.name not in there)
-    if further:
-        model = replace(model, effects=(*model.effects, *further))
+    model = with_effects(model, learned.effects)
     if learned.meters is not None:
         traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
         readings = corrected(as_read, traced.by)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +32,7 @@ from bench.analysis.planning.until.outlook import TimeOutlook, time_outlook
 from bench.analysis.planning.until.pool import Pool, Site, pool_of
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.errors import Refused
+from bench.api.learned import NOTHING, LearnedTaken, learned_for_run, with_effects
 from bench.api.points import delta_g_of
 from bench.api.quantities import named, quantity
 from bench.api.source import Request, load_sources
@@ -39,7 +41,7 @@ from bench.files.bench.file import BenchFile
 from bench.model import CATALOGUE, ForwardModel, Mounting
 from bench.procedure.plan import Plan
 from bench.readings.table import VERIFICATION
-from bench.run.folder import Run
+from bench.run.folder import BENCH, Run
 from bench.run.history import History
 from bench.run.manifest import Manifest, RecordError
 from bench.run.resume import Progress
@@ -119,15 +121,21 @@ def _asked(size: float) -> float:
     return size
 
 
-def chooser_of(plan: Plan, bench: BenchFile, texts: Sequence[str]) -> Chooser:
-    """Return what chooses for these goals. Raises `Refused`: also for a goal that no reading can reach."""
-    sizes = {name: d.u for name, d in bench.stand_distributions().items()}
-    model = ForwardModel(bench.installation_models())
+def chooser_of(
+    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING
+) -> Chooser:
+    """Return what chooses for these goals, with what was `learned` of the bench as a calibration takes it.
+
+    Raises `Refused`: also for a goal that no reading can reach.
+    """
+    assumed = {name: size.u for name, size in assumed_stand(bench).items() if _is_told(name, learned)}
+    sizes = {name: d.u for name, d in bench.stand_distributions().items()} | assumed
+    model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
-        stand = Stand(model, bench.simulated_block(), sizes)
+        stand = Stand(model, bench.simulated_block(), sizes, learned.known)
         aim = stated_aim(texts, stand, bench)
         pool = pool_of(plan, bench.line_frequency)
-        hidden = [] if not any(w.combined for w in aim.wanted) else _hidden(bench, model)
+        hidden = [] if not any(w.combined for w in aim.wanted) else _hidden(bench, model, learned)
         _refuse_below_floor(floors(aim, stand, pool, hidden))
         _refuse_too_short(aim, pool)
         return Chooser(pool, with_hidden(aim, stand, pool, hidden), stand)
@@ -135,9 +143,14 @@ def chooser_of(plan: Plan, bench: BenchFile, texts: Sequence[str]) -> Chooser:
         raise Refused(f"--until {', '.join(texts)}: {reason}") from None
 
 
-def _hidden(bench: BenchFile, model: ForwardModel) -> list[Any]:
+def _is_told(name: str, learned: LearnedTaken) -> bool:
+    """Whether a size of the stand that nobody stated was learned."""
+    return learned.known is not None and name in {kind for kind, _ in learned.known.keys}
+
+
+def _hidden(bench: BenchFile, model: ForwardModel, learned: LearnedTaken) -> list[Any]:
     """What is in the combined uncertainty beside what readings show; coefficients are per local g."""
-    assumed = assumed_stand(bench)
+    assumed = [name for name in assumed_stand(bench) if not _is_told(name, learned)]
     own = [source for source in stand_sources(bench) if source.name in assumed]
     return [*own, *(source for source in hidden_sources(bench, model) if source.name != "gravity")]
 
@@ -177,7 +190,8 @@ class Until:
 
     def __init__(self, run: Run, bench: BenchFile) -> None:
         self._run = run
-        self._chooser = chooser_of(run.plan, bench, run.manifest.get("until", []))
+        learned = learned_for_run(bench, run.folder / BENCH, run.created, simulated=run.simulated)
+        self._chooser = chooser_of(run.plan, bench, run.manifest.get("until", []), learned)
         self._point_of = {point.reads[0]: point for point in self._chooser.pool.points}
 
     def __call__(self, index: int, progress: Progress) -> dict[str, Any] | None:
@@ -280,12 +294,18 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
     if not texts:
         return ()
     manifest["until"] = [*texts]
-    return (outlook_in_words(outlook_until(plan, bench, texts)),)
+    learned = learned_for_run(
+        bench, Path(manifest["bench"]), manifest["created"], simulated=bool(manifest["dry_run"])
+    )
+    return (*learned.notes, outlook_in_words(outlook_until(plan, bench, texts, learned)))
 
 
-def outlook_until(plan: Plan, bench: BenchFile, texts: Sequence[str]) -> TimeOutlook:
-    """Return how long a run for these goals will take at the noise that the bench file states."""
-    return time_outlook(chooser_of(plan, bench, texts))
+def outlook_until(
+    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING
+) -> TimeOutlook:
+    """Return how long a run for these goals will take at the noise that the bench file states, or was learned."""
+    found = time_outlook(chooser_of(plan, bench, texts, learned))
+    return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 
 
 def outlook_in_words(found: TimeOutlook) -> str:
@@ -293,8 +313,9 @@ def outlook_in_words(found: TimeOutlook) -> str:
     low_s, mid_s, high_s = found.quantiles(found.time_s)
     low, mid, high = (round(n) for n in found.quantiles(found.settings))
     reached = float(np.mean(found.reached))
+    noise = "was learned" if found.learned else "the bench file states"
     words = (
-        f"at the noise that the bench file states: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
+        f"at the noise that {noise}: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
         f"{duration(high_s)}) and {mid} settings ({low} to {high}), of the procedure's "
         f"{duration(found.whole_s)} and {found.whole}"
     )

@@ -104,12 +104,3 @@ def test_mistakes_are_one_sentence(bench, runs, options, told):
     assert "Traceback" not in err
     status, _, err = learn(bench, [runs[0], runs[0]])
     assert status == 2
-
-
-def test_a_budget_says_that_it_keeps_to_the_stated_limits(bench, runs):
-    learn(bench, runs)
-    told = program.budget("mine.yaml", "paper", trials=0).to_dict()
-    plain = program.budget("plain.yaml", "paper", trials=0).to_dict()
-    assert told["coefficients"] == plain["coefficients"]
-    (note,) = set(told["notes"]) - set(plain["notes"])
-    assert "is not used: a budget is of the limits that the bench file states" in note

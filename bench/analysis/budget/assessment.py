@@ -14,6 +14,7 @@ from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.exact import ExactResult, exact_monte_carlo
 from bench.analysis.budget.setup import Setup
 from bench.analysis.calibration.conformity import DecisionRule
+from bench.analysis.calibration.known import KnownStand
 
 DOMINATES: Final = 0.5
 """A source (or all of what the block has beside K and U0) dominates with more than this part of the variance."""
@@ -114,9 +115,18 @@ class Assessment:
         }
 
 
-def assess(setup: Setup, sources: Sequence[ErrorSource], estimator: str, question: Question) -> Assessment:
-    """Return the budget of an estimator with what follows from it. Raises `CalibrationError` as its parts do."""
-    budget = make_budget(setup, sources, estimator)
+def assess(
+    setup: Setup,
+    sources: Sequence[ErrorSource],
+    estimator: str,
+    question: Question,
+    known: KnownStand | None = None,
+) -> Assessment:
+    """Return the budget of an estimator with what follows from it; `known` is what was learned.
+
+    Raises `CalibrationError` as its parts do.
+    """
+    budget = make_budget(setup, sources, estimator, known=known)
     accelerations = tuple(
         over_directions(budget, size, same_voltmeters=question.same_voltmeters)
         for size in magnitudes(question.range_g)

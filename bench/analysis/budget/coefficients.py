@@ -24,6 +24,7 @@ from bench.analysis.budget.seen import Seen
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import sizes_by_name
 from bench.analysis.calibration.estimators import GLS
+from bench.analysis.calibration.known import KnownStand
 from bench.base.arrays import Floats
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS
@@ -127,13 +128,15 @@ def make_budget(
     estimator: str = GLS,
     stated: Mapping[str, float] | None = None,
     probability: float = COVERAGE,
+    known: KnownStand | None = None,
 ) -> Budget:
     """Return the budget of an estimator, one of `bench.analysis.calibration.estimators` by name.
 
     `stated` are the sizes that the estimator believes (see `estimators.gain`); left out, those of
-    the sources. Raises `CalibrationError` when the readings do not determine the coefficients.
+    the sources; `known` is what was learned in their place.
+    Raises `CalibrationError` when the readings do not determine the coefficients.
     """
-    gain = gain_of(estimator, setup, sizes_by_name(sources) if stated is None else stated)
+    gain = gain_of(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
     contributions = tuple(Contribution(source, parts_of(source, setup, gain)) for source in sources)
     return Budget(estimator, setup, gain, contributions, probability)
 

@@ -39,7 +39,8 @@ class ErrorSource:
     `factors` scale the error where it acts (the temperature coefficients, per K). The parameter of an effect
     has `effect`, and in `written_in` the unit in which files state it with its size in SI. `channels` are
     those that it is of: K2 and K3 are not of one for which the model has such an effect, a voltmeter's are its own.
-    Draws that hang together have a `root`: what makes of as many independent ones theirs.
+    Draws that hang together have a `root`: what makes theirs (q) of independent ones (k), q rows of k.
+    `angles` are the kinds of the stand's angles whose means of all mountings it is.
     """
 
     name: str
@@ -55,6 +56,7 @@ class ErrorSource:
     effect: EffectUnknown | None = None
     channels: tuple[str, ...] = CHANNELS
     root: tuple[tuple[float, ...], ...] | None = None
+    angles: tuple[str, ...] = ()
     written_in: tuple[str, float] = ("", 1.0)
 
     @property

@@ -117,7 +117,7 @@ class _Simulation:
         self._budget = budget
         self._setup = budget.setup
         sources = [c.source for c in budget.contributions if c.source.u > 0.0]
-        self._angles = [s for s in sources if s.name in STAND_ANGLES]
+        self._angles = [s for s in sources if s.name in STAND_ANGLES or s.angles]
         self._setting = [s for s in sources if s.name == "setting_error"]
         still = np.zeros((len(self._setup.conditions.mounts), len(STAND_ANGLES)))
         self._plain = replace(self._setup.model, effects=())
@@ -148,7 +148,11 @@ class _Simulation:
         n, mounts = len(setup.conditions), len(setup.conditions.mounts)
         stand = np.zeros((trials, mounts, len(STAND_ANGLES)))
         for source in self._angles:
-            stand[:, :, STAND_ANGLES.index(source.name)] = _draw(source, (trials, mounts), rng)
+            kinds = [STAND_ANGLES.index(name) for name in source.angles or (source.name,)]
+            drawn_angles = _draw(source, (trials, len(kinds) * mounts), rng).reshape(
+                trials, len(kinds), mounts
+            )
+            stand[:, :, kinds] += np.swapaxes(drawn_angles, 1, 2)
         setting = sum((_draw(s, (trials, n), rng) for s in self._setting), np.zeros((trials, n)))
         signal = self._plain.readings(
             setup.block,
@@ -164,5 +168,8 @@ class _Simulation:
 
 
 def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    values = drawn(source.distribution, shape, rng, source.dof)
-    return values if source.root is None else values @ np.array(source.root).T
+    if source.root is None:
+        return drawn(source.distribution, shape, rng, source.dof)
+    root = np.array(source.root)
+    independent = drawn(source.distribution, (shape[0], root.shape[1]), rng, source.dof)
+    return np.asarray(independent @ root.T)

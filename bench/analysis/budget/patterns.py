@@ -32,8 +32,9 @@ def influences(source: ErrorSource, setup: Seen) -> tuple[Influence, ...]:
     if isinstance(setup, Setup) and source.effect is not None:
         column = setup.effect_problem.effects.index(source.effect)
         patterns: _Patterns = [(setup.effect_columns[:, :, column], _EVERYTHING)]
-    elif isinstance(setup, Setup) and source.name in STAND_ANGLES:
-        patterns = [(setup.stand_slope(source.name), setup.conditions.mount[:, None])]
+    elif isinstance(setup, Setup) and (source.name in STAND_ANGLES or source.angles):
+        mount = setup.conditions.mount[:, None]
+        patterns = [(setup.stand_slope(name), mount) for name in source.angles or (source.name,)]
     else:
         patterns = _PATTERNS[source.kind](source, setup)
     return tuple(Influence.of(pattern, group) for pattern, group in patterns)
@@ -119,7 +120,9 @@ def _power(exponent: int) -> Callable[[ErrorSource, Seen], _Patterns]:
 
 
 _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, Seen], _Patterns]]] = {
-    "voltmeter_error": lambda _, s: [(np.ones_like(s.signal), np.arange(s.signal.size).reshape(-1, 3))],
+    "voltmeter_error": lambda own, s: [
+        (np.ones_like(s.signal) * own.on_channels, np.arange(s.signal.size).reshape(-1, 3))
+    ],
     "setting_error": lambda _, s: [(s.setting_slope, np.arange(len(s.conditions))[:, None])],
     "voltmeter_gain": lambda own, s: [(s.signal * own.on_channels, np.array(s.meters)[None, :])],
     "voltmeter_offset": lambda own, s: [

@@ -12,10 +12,12 @@ import numpy as np
 
 from bench.analysis.budget.alike import KnownMeters
 from bench.analysis.budget.error_source import Common, ErrorSource
+from bench.analysis.budget.learned import learned_sources
 from bench.analysis.budget.meters import Size, linearity_of, size_of
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.thermometer import thermometer_size
 from bench.analysis.calibration.design import SYMBOLS, WEAK
+from bench.analysis.calibration.known import KnownStand
 from bench.base.arrays import CHANNELS
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import STAND_ERRORS, BenchFile
@@ -45,16 +47,20 @@ K3_PRIOR: Final = Distribution(20e-6)
 
 
 def bench_sources(
-    bench: BenchFile, setup: Setup, day: datetime.date | None = None
+    bench: BenchFile, setup: Setup, day: datetime.date | None = None, known: KnownStand | None = None
 ) -> tuple[ErrorSource, ...]:
     """Return the sources of a bench: the stand's errors, the voltmeters', gravity, temperature, the block.
 
-    `day` is that of the readings: what a certificate states has drifted since its own.
+    `day` is that of the readings: what a certificate states has drifted since its own. `known` is what was
+    learned of the stand and the noise.
 
     Parameters of effects in the model of `setup` are sources, too; the priors of K2 and K3 stand only where the
     model has no such effect.
     """
-    return (*stand_sources(bench), *hidden_sources(bench, setup.model, day), *effect_sources(setup))
+    own = stand_sources(bench)
+    if known is not None:
+        own = learned_sources(own, known, setup.conditions.mounts)
+    return (*own, *hidden_sources(bench, setup.model, day), *effect_sources(setup))
 
 
 def hidden_sources(

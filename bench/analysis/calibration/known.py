@@ -32,6 +32,15 @@ class KnownNoise:
     setting_rad: float
     setting_dof: float
 
+    def given(self) -> Noise:
+        """Return the sizes as those of readings that are yet to come."""
+        x, y, z = self.channels.tolist()
+        return Noise(rms(self.channels), self.setting_rad, np.inf, "given", channels=(x, y, z))
+
+    def times(self, part: float) -> KnownNoise:
+        """Return the sizes so many times as large."""
+        return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
+
     def joined(self, own: Noise) -> Noise:
         """Return the sizes of a run with what was known of them; the run's own where the two contradict."""
         if np.isinf(own.dof):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -29,6 +30,8 @@ ROUND: Final = ("cosine", "sine")
 LEADS: Final = (ROUND, "across_")
 """Parameters that belong together, amplitude and phase of one wave: with the same lead of their names."""
 
+SLIP: Final = "block_slip"
+"""What is looked for by a threshold of its own, too."""
 ZERO_BY_RUN: Final = "zeros_by_run"
 SCALE_BY_RUN: Final = "scale_by_run"
 STEP_AFTER: Final = "step"
@@ -97,6 +100,14 @@ class Candidates:
         member = np.array([place[v.family] for v in self.variants])
         self.by_family = np.argsort(member, kind="stable")
         self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
+
+    @cached_property
+    def slips(self) -> list[int]:
+        """The numbers of the variants of a slip about any axis, one for each of the passes that it may be in."""
+        if SLIP not in self.families:
+            return []
+        whole = len(CATALOGUE[SLIP].parameters)
+        return [i for i in self.of_family(SLIP) if len(self.variants[i].columns) == whole]
 
     def of_family(self, family: str) -> list[int]:
         """Return the numbers of a family's variants."""

@@ -226,7 +226,7 @@ def _effects(
             plainer_than=found.plainer_than,
             parameters=(),
             p=p,
-            p_all_looks=max(p, limit.p(found.total)),
+            p_all_looks=max(p, limit.p(found.total, found.of_slip)),
             rho=found.size,
             words=_in_words(variant),
         )

@@ -235,6 +235,25 @@ class Search:
         explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(self.inner, at_known))
         return Data(data.square - explained, data.along - fitted)
 
+    def likelihood_ratio(self, data: Data, members: Sequence[int]) -> Floats:
+        """Return ln of the largest ratio of likelihoods that one of some variants gives, or 0, shape (sets,).
+
+        Its numbers are as free as those that the model has by now, and pay no price for it.
+        """
+        left, grid = self.left_over(data), self.whitened.grid
+        base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
+        of_null = _log_sum(base + grid.log_likelihood(left.square))
+        best = np.zeros(left.sets)
+        for group in self.groups:
+            for place in np.flatnonzero(np.isin(group.members, members)):
+                along = left.along[:, group.columns[place]]
+                along = np.swapaxes(group.vectors[:, place], 1, 2) @ along
+                weight = 1.0 / (group.values[:, place] + 1.0 / KNOWN_SIZE**2)
+                explained = np.sum(along**2 * weight[:, :, None], axis=1)
+                rest = np.maximum(left.square - explained, 1e-12 * left.square)
+                best = np.maximum(best, _log_sum(base + grid.log_likelihood(rest)) - of_null)
+        return best
+
     def score(self, data: Data) -> Scores:
         """Return the evidence of each variant and of the model as it is."""
         left = self.left_over(data)

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import UNNAMED, Variant
+from bench.analysis.diagnosis.candidates import SLIP, UNNAMED, Variant
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Data, Scores, Search, Whitened, beside_each
 from bench.analysis.diagnosis.threshold import Threshold, total_evidence
 from bench.base.arrays import Floats
@@ -40,7 +40,8 @@ class Found:
 
     `ties` are other effects (or unnamed families) that explain it as well, the more plausible first; `same` those
     among them that would put the very same into these readings; `plainer_than` those of the same subsystem that
-    explain it with more parameters. `size` is the part of the readings that it explains, in units of noise (rho).
+    explain it with more parameters. `size` is the part of the readings that it explains, in units of noise (rho);
+    `of_slip` ln of the ratio of likelihoods that a slip would have in its place.
     """
 
     variant: Variant
@@ -50,6 +51,7 @@ class Found:
     ties: tuple[str, ...] = ()
     plainer_than: tuple[str, ...] = ()
     same: tuple[str, ...] = ()
+    of_slip: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,8 @@ class Scored:
     """A data set scored beside what the model has by now.
 
     `left` is what that leaves of the data, `evidence` the ln odds of each family, `total` those of anything at
-    all; `ratio` is the number of the likeliest ratio of the two noise sizes.
+    all, `of_slip` ln of the ratio of likelihoods of a slip; `ratio` is the number of the likeliest ratio of the two
+    noise sizes.
     """
 
     search: Search
@@ -86,6 +89,7 @@ class Scored:
     scores: Scores
     evidence: Mapping[str, float]
     total: float
+    of_slip: float
     ratio: int
 
     @classmethod
@@ -114,6 +118,7 @@ class Scored:
             scores,
             dict(zip(whitened.candidates.families, families, strict=True)),
             float(total_evidence(scores, whitened)[0]),
+            float(search.likelihood_ratio(data, whitened.candidates.slips)[0]),
             int(np.argmax(scores.ratio[:, 0])),
         )
 
@@ -121,10 +126,20 @@ class Scored:
         """Return the best family in its best form."""
         return self.found(max(self.evidence, key=lambda family: self.evidence[family]))
 
+    def foremost(self, threshold: Threshold) -> Found | None:
+        """Return what is missing before all else; None where nothing is missing.
+
+        Where a slip alone is more than chance, and all together are not, it is the slip.
+        """
+        if self.total >= threshold.value:
+            return self.best()
+        return self.found(SLIP) if threshold.by_slip(self.of_slip) else None
+
     def found(self, family: str) -> Found:
         """Return a family in its best form."""
         variant = self._best_variant(family)
-        return Found(variant, self.evidence[family], self.total, math.sqrt(self.explained(variant)))
+        size = math.sqrt(self.explained(variant))
+        return Found(variant, self.evidence[family], self.total, size, of_slip=self.of_slip)
 
     def likeliest(self, family: str) -> Variant:
         """Return the form of a family that has the most evidence."""
@@ -184,13 +199,13 @@ def name(
     found = list(begun)
     while True:
         scored = Scored.beside(whitened, data, _columns(found))
-        if scored.total < threshold.value or len(found) == most + len(begun):
+        best = scored.foremost(threshold)
+        if best is None or len(found) == most + len(begun):
             break
-        best = scored.best()
         pair = None if best.variant.named else _pair_kept(scored, data, best)
         found += pair or [best]
         if len(found) > 1:
-            found = held(whitened, data, _re_examine(whitened, data, found), threshold)
+            found = held(whitened, data, _re_examine(whitened, data, found, threshold), threshold)
     found_tied = tuple(
         tied(Scored.beside(whitened, data, _columns(found, but=i)), f) for i, f in enumerate(found)
     )
@@ -235,12 +250,13 @@ def _columns(found: list[Found], but: int | None = None) -> list[int]:
     return [column for i, f in enumerate(found) if i != but for column in f.variant.columns]
 
 
-def _re_examine(whitened: Whitened, data: Data, found: list[Found]) -> list[Found]:
+def _re_examine(whitened: Whitened, data: Data, found: list[Found], threshold: Threshold) -> list[Found]:
     """Look at each earlier find again beside all others; it may have stood in for something else."""
     for _ in range(2):
         changed = False
         for i in range(len(found)):
-            best = Scored.beside(whitened, data, _columns(found, but=i)).best()
+            scored = Scored.beside(whitened, data, _columns(found, but=i))
+            best = scored.foremost(threshold) or scored.best()
             if best.variant != found[i].variant:
                 found[i], changed = best, True
         if not changed:
@@ -251,9 +267,9 @@ def _re_examine(whitened: Whitened, data: Data, found: list[Found]) -> list[Foun
 def held(whitened: Whitened, data: Data, found: list[Found], threshold: Threshold) -> list[Found]:
     """Leave out, the weakest first, what is no longer needed beside the others: without it nothing is missing."""
     while len(found) > 1:
-        without = [Scored.beside(whitened, data, _columns(found, but=i)).total for i in range(len(found))]
-        weakest = int(np.argmin(without))
-        if without[weakest] >= threshold.value:
+        without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found))]
+        weakest = int(np.argmin([scored.total for scored in without]))
+        if threshold.reached(without[weakest].total, without[weakest].of_slip):
             break
         found = [f for i, f in enumerate(found) if i != weakest]
     return found
@@ -286,6 +302,7 @@ def tied(scored: Scored, one: Found) -> Found:
         one,
         evidence=evidence[one.variant.family],
         total=scored.total,
+        of_slip=scored.of_slip,
         size=math.sqrt(max(explained, 0.0)),
         ties=tuple(sorted(ties, key=lambda f: -evidence[f])),
         plainer_than=tuple(plainer),

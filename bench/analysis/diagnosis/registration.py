@@ -80,6 +80,8 @@ def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
         "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
         "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
     }
+    if limit.slip is not None:
+        hashed["slip"] = [threshold.OF_SLIPS, round(limit.slip.value, 9)]
     if threshold.formulas():
         hashed["formulas"] = threshold.formulas()
     hashed["form"] = [search.MOST_TERMS, describe.LEAST_CLOSED, scatter.SIGNIFICANT, scatter.LARGER]

@@ -7,7 +7,7 @@ import json
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import logsumexp
@@ -23,6 +23,8 @@ NULLS: Final = 2000
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
 """How often the search may find something where nothing is."""
+OF_SLIPS: Final = 1 / 6
+"""The part of it that is a slip's alone: it pays for sizes, axes and passes, and would be silent where it shows."""
 
 TAIL: Final = 0.05
 """Upper part of the simulated evidences to which an exponential tail is fitted."""
@@ -36,9 +38,10 @@ CHANNEL_STEP: Final = 1.5
 
 @dataclass(frozen=True)
 class Threshold:
-    """Evidence (ln odds of anything at all) that chance reaches with `probability`.
+    """Evidence (ln odds of anything at all) that chance reaches, or a slip's likelihood, with `probability`.
 
-    Above `start` the chance of more falls by e for each `decay`; `p_start` is the chance of `start`.
+    Above `start` the chance of more falls by e for each `decay`; `p_start` is the chance of `start`. `slip`, that
+    of slips alone, is None where none is sought: then all of the probability is that of `value`.
     """
 
     value: float
@@ -47,17 +50,34 @@ class Threshold:
     p_start: float
     decay: float
     nulls: int
+    slip: Threshold | None = None
 
     def at(self, probability: float) -> Threshold:
         """Return the evidence that chance reaches with another probability."""
-        value = self.start + self.decay * float(np.log(self.p_start / probability))
-        return replace(self, value=value, probability=probability)
+        slip = None if self.slip is None else self.slip.at(OF_SLIPS * probability)
+        own = probability if slip is None else (1.0 - OF_SLIPS) * probability
+        value = self.start + self.decay * float(np.log(self.p_start / own))
+        return replace(self, value=value, probability=probability, slip=slip)
 
-    def p(self, evidence: float) -> float:
-        """Probability that chance gives so much evidence, all looks counted; 1 below the fitted tail."""
-        if evidence <= self.start:
-            return 1.0
-        return float(self.p_start * np.exp(-(evidence - self.start) / self.decay))
+    def p(self, evidence: float, of_slip: float = 0.0) -> float:
+        """Probability that chance gives so much of either, all looks counted; 1 below the fitted tails.
+
+        `of_slip` is ln of the ratio of likelihoods of a slip.
+        """
+        own = 1.0
+        if evidence > self.start:
+            own = float(self.p_start * np.exp(-(evidence - self.start) / self.decay))
+        if self.slip is None:
+            return own
+        return min(own / (1.0 - OF_SLIPS), self.slip.p(of_slip) / OF_SLIPS, 1.0)
+
+    def reached(self, evidence: float, of_slip: float) -> bool:
+        """Whether either is as much as chance seldom gives."""
+        return evidence >= self.value or self.by_slip(of_slip)
+
+    def by_slip(self, of_slip: float) -> bool:
+        """Whether the likelihood of a slip is."""
+        return self.slip is not None and of_slip >= self.slip.value
 
 
 def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
@@ -100,7 +120,11 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
     ratios = rng.choice(np.array(RATIOS), nulls, p=np.exp(grid.log_prior))
     search = Search.beside(whitened, ())
     data = whitened.reduce(null_responses(linear, grid.sigma, ratios, rng))
-    return fit_tail(total_evidence(search.score(data), whitened))
+    whole = fit_tail(total_evidence(search.score(data), whitened))
+    slips = whitened.candidates.slips
+    if not slips:
+        return whole
+    return replace(whole, slip=fit_tail(search.likelihood_ratio(data, slips))).at(FALSE_ALARMS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
@@ -130,8 +154,8 @@ class ThresholdCache:
             return make_threshold(linear, whitened)
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
         try:
-            return Threshold(**json.loads(file.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError, RecursionError):
+            return _of_file(json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError, KeyError, RecursionError):
             made = make_threshold(linear, whitened)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -141,6 +165,11 @@ class ThresholdCache:
         except OSError:
             pass  # the cache saves time and nothing else
         return made
+
+
+def _of_file(fields: dict[str, Any]) -> Threshold:
+    slip = fields.pop("slip")
+    return Threshold(**fields, slip=None if slip is None else Threshold(**slip))
 
 
 def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
@@ -168,7 +197,7 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
-        (NULLS, SEED, FALSE_ALARMS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, CHANNEL_U),
+        (NULLS, SEED, FALSE_ALARMS, OF_SLIPS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, CHANNEL_U),
         channel_steps(linear),
     ]
     if readings.run.any():

@@ -15,6 +15,7 @@ from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.estimators import GLS
+from bench.analysis.calibration.known import KnownStand
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
 from bench.analysis.calibration.result import CalibrationError, Noise
 from bench.analysis.planning.exchange import (
@@ -37,13 +38,19 @@ _ROUNDS: Final = 4
 
 @dataclass(frozen=True)
 class Stand:
-    """The bench as planning sees it: model, block, standard uncertainties of the stand errors, rad and V."""
+    """The bench as planning sees it: model, block, standard uncertainties of the stand errors, rad and V.
+
+    `known` is what was learned of stand and noise in their place.
+    """
 
     model: ForwardModel
     block: Block
     sizes: Mapping[str, float]
+    known: KnownStand | None = None
 
     def __post_init__(self) -> None:
+        if self.known is not None and self.known.noise is not None:
+            return
         if not self.sizes.get("voltmeter_error", 0.0) > 0:
             raise CalibrationError(
                 "the bench file states no voltmeter_error, so that one reading would be as good as many; "
@@ -53,6 +60,8 @@ class Stand:
     @property
     def noise(self) -> Noise:
         """What is fresh at each reading and at each setting of the head."""
+        if self.known is not None and self.known.noise is not None:
+            return self.known.noise.given()
         return Noise(self.sizes["voltmeter_error"], self.sizes.get("setting_error", 0.0), np.inf, "given")
 
     def unknowns(self, mounts: int) -> int:
@@ -89,12 +98,13 @@ def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
     """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem that
     they are of.
 
-    The q angles of the stand are in units of their prior standard uncertainty.
+    The q angles of the stand are in units of their prior standard uncertainty; where they hang together, their
+    independent parts are.
     """
-    problem = make_problem(stand.model, conditions, stand.sizes)
+    problem = make_problem(stand.model, conditions, stand.sizes, known=stand.known)
     linear = problem.linear(stand.block, problem.prior_mean)
-    scale = np.concatenate([np.ones(FIXED), problem.prior_u])
-    return whiten(linear.jacobian, linear.slope, stand.noise) * scale, problem
+    rows = whiten(linear.jacobian, linear.slope, stand.noise)
+    return np.concatenate([rows[:, :, :FIXED], problem.by_prior(rows[:, :, FIXED:])], axis=2), problem
 
 
 class Sites:

@@ -22,6 +22,26 @@ LUCAS_SACCUCCI = {
 }
 """Technometrics 32 (1990), table 3, as Montgomery has it: run lengths by (lambda, L) after a shift of so many s."""
 
+OF_FEW_AND_MANY = {
+    (0.50, 3.071): (500, 255, 88.8, 35.9, 17.5, 6.53, 3.63, 2.50, 1.93, 1.58, 1.34, 1.07),
+    (0.03, 2.437): (500, 76.7, 29.3, 17.6, 12.6, 8.07, 5.99, 4.80, 4.03, 3.49, 3.11, 2.55),
+}
+"""The same table at other shifts, as the manual of `spc` 0.7 for R has it (`xewma.arl`)."""
+CROWDER = {
+    0.50: (
+        26.45, 20.12, 11.89, 7.29, 4.91, None, 2.80, 2.29,
+        1.94, 1.70, 1.51, 1.37, 1.26, 1.18, 1.12, 1.08, 1.05,
+    ),
+    0.05: (
+        127.53, 43.94, 18.97, 11.64, 8.38, 6.56, 5.41, 4.62,
+        4.04, 3.61, 3.26, 2.99, 2.76, 2.56, 2.39, 2.26, 2.15,
+    ),
+}  # fmt: skip
+"""Technometrics 29 (1987), table 1, limits at 2, shifts in steps of a quarter, after the same manual.
+
+That manual takes the 3.95 that is printed for lambda 0.5 at a shift of 1.25 for a misprint; it is left out.
+"""
+
 
 def test_shewhart_charts_run_as_long_as_is_published():
     lengths = [shewhart_arl(3.0, shift) for shift in (0.0, 1.0, 2.0)]
@@ -34,6 +54,46 @@ def test_ewma_charts_run_as_long_as_is_published(design, published):
     found = [ewma_arl(*design, shift) for shift in SHIFTS]
     # the table has three digits, or one after the point
     assert found == pytest.approx(published, rel=4e-3, abs=0.053)
+
+
+@pytest.mark.parametrize(("design", "published"), OF_FEW_AND_MANY.items())
+def test_ewma_charts_of_long_and_short_memory_run_as_long_as_is_published(design, published):
+    shifts = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0)
+    found = [ewma_arl(*design, shift) for shift in shifts]
+    assert found == pytest.approx(published, rel=4e-3, abs=0.006)
+
+
+@pytest.mark.parametrize(("smoothing", "published"), CROWDER.items())
+def test_charts_of_narrow_limits_run_as_long_as_crowder_has_it(smoothing, published):
+    rows = [(number / 4, length) for number, length in enumerate(published) if length is not None]
+    found = [ewma_arl(smoothing, 2.0, shift) for shift, _ in rows]
+    assert found == pytest.approx([length for _, length in rows], abs=0.011)
+
+
+def test_another_program_finds_the_same_run_length():
+    """SAS/QC user's guide, function EWMAARL, example: a shift of 1 s, r = 0.25, limits at 3."""
+    assert ewma_arl(0.25, 3.0, 1.0) == pytest.approx(11.154267016, abs=1e-6)
+
+
+def test_another_program_finds_the_same_multivariate_run_length():
+    """MEWMA-ARLs of Molnau et al., J. Quality Technology 33 (2001), as the manual of `spc` has its output."""
+    assert mewma_arl(0.1, 12.73, 4) == pytest.approx(199.78, rel=5e-3)
+
+
+def test_in_many_dimensions_it_is_that_of_simulated_charts():
+    """Seed 5, 20,000 charts of 20 dimensions; that program's Markov chain of 25 states gives 199.09 there."""
+    rng, charts, smoothing, limit, p = np.random.default_rng(5), 20_000, 0.1, 37.01, 20
+    lengths, run, square = np.empty(charts), np.arange(charts), np.zeros(charts)
+    step = 0
+    while len(run):
+        step += 1
+        along = (1 - smoothing) * np.sqrt(square) + smoothing * rng.normal(size=len(run))
+        square = along**2 + smoothing**2 * rng.chisquare(p - 1, len(run))
+        out = square > limit * smoothing / (2 - smoothing)
+        lengths[run[out]] = step
+        run, square = run[~out], square[~out]
+    error = lengths.std() / np.sqrt(charts)
+    assert mewma_arl(smoothing, limit, p) == pytest.approx(lengths.mean(), abs=4 * error)
 
 
 @pytest.mark.parametrize(

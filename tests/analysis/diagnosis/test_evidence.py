@@ -37,6 +37,25 @@ def dense_log_likelihood(one, extra, ratio_rad_per_v):
     )
 
 
+def test_the_likelihood_of_a_slip_is_that_with_three_angles_in_the_likeliest_pass(one):
+    """The ratio of dense likelihoods, the angles as free as what the model has, without the price of that."""
+    grid, slips = one.whitened.grid, one.candidates.slips
+    assert len(slips) == 8  # of two installations with three passes: from two of them on, and two alone
+    scaled = one.candidates.columns / NOISE_V
+    base = zip(grid.log_prior, grid.setting_rad_per_noise, grid.white, strict=True)
+    null, of_slip = [], []
+    for prior, ratio, white in base:
+        null.append(prior + dense_log_likelihood(one, [], ratio))
+        each = [KNOWN_SIZE * scaled[:, list(one.candidates.variants[i].columns)] for i in slips]
+        price = [0.5 * np.linalg.slogdet(np.eye(3) + (white @ c).T @ (white @ c))[1] for c in each]
+        with_one = [dense_log_likelihood(one, [c], ratio) for c in each]
+        of_slip.append([prior + one + p for one, p in zip(with_one, price, strict=True)])
+    expected = float(np.max(logsumexp(of_slip, axis=0) - logsumexp(null)))
+    data = one.whitened.reduce(one.linear.response[:, None])
+    found = Search.beside(one.whitened, ()).likelihood_ratio(data, slips)
+    assert found[0] == pytest.approx(expected, abs=1e-5)
+
+
 def dense_evidence(one, columns, known=()):
     grid = one.whitened.grid
     scaled = one.candidates.columns / NOISE_V

@@ -74,6 +74,41 @@ def test_a_slip_within_a_pass_is_noise_that_nobody_stated():
     assert found.verdict == "unknown"
 
 
+def test_a_slip_has_a_part_of_the_false_alarms_to_itself():
+    """A sixth: either alone is then as rare as both together where it is that much rarer by itself."""
+    limit = Threshold(2.5, 0.006, 1.0, 0.05, 1.0, 2000, slip=Threshold(9.0, 0.006, 6.0, 0.05, 1.0, 2000))
+    limit = limit.at(0.006)
+    assert limit.value == pytest.approx(1.0 + np.log(0.05 / 0.005))
+    assert limit.slip.value == pytest.approx(6.0 + np.log(0.05 / 0.001))
+    assert limit.p(limit.value) == pytest.approx(0.006)
+    assert limit.p(-1.0, limit.slip.value) == pytest.approx(0.006)
+    assert limit.reached(limit.value, 0.0)
+    assert limit.reached(-1.0, limit.slip.value)
+    assert not limit.reached(limit.value - 0.1, limit.slip.value - 0.1)
+    without = replace(limit, slip=None).at(0.006)
+    assert not without.reached(-1.0, 1e9)
+    assert without.p(without.value) == pytest.approx(0.006)
+
+
+class OfSlips(ThresholdCache):
+    """A threshold that only a slip reaches, about that of the paper's design."""
+
+    def threshold(self, linear, whitened, setting_rad):
+        return Threshold(1e9, 0.006, 1e8, 0.05, 1.0, 2000, slip=Threshold(10.0, 0.001, 6.0, 0.05, 1.0, 2000))
+
+
+@pytest.mark.slow
+def test_a_slip_is_found_by_its_likelihood_where_all_sizes_and_axes_cost_too_much():
+    """Of 15 arcsec in one pass, about an axis between the others; nothing is found where it did not slip."""
+    readings = paper_run(np.random.default_rng(SEED))
+    axis = np.array([0.6, 0.0, 0.8])
+    slipped = turned(readings, in_pass(readings, "2", 3), axis, 15 * ARCSEC)
+    found = diagnose(slipped, MODEL, STAND, np.diag(K), OfSlips(None))
+    assert [effect.name for effect in found.effects] == ["block_slip"]
+    assert found.effects[0].p_all_looks < 0.006
+    assert diagnose(readings, MODEL, STAND, np.diag(K), OfSlips(None)).verdict == "agrees"
+
+
 def test_spells_are_named_once():
     """Two installations of three passes and the verification points: neither is mounted twice."""
     readings = paper_run(None)

@@ -10,8 +10,9 @@ import numpy as np
 
 from bench.analysis.budget.coefficients import Budget, make_budget
 from bench.analysis.budget.error_source import ErrorSource
+from bench.analysis.budget.learned import learned_sources
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import stand_source
+from bench.analysis.budget.sources import effect_sources, stand_source
 from bench.analysis.calibration.estimators import GLS
 from bench.analysis.planning.goals import Goal
 from bench.analysis.planning.points import Stand
@@ -100,7 +101,7 @@ def floors(aim: Aim, stand: Stand, pool: Pool, hidden: Sequence[ErrorSource]) ->
         own = {
             c.source.name: _variance(wanted.goal, c.covariance)
             for c in budget.contributions
-            if wanted.combined or stand.sizes.get(c.source.name, 0.0) > 0
+            if wanted.combined or c.source not in hidden
         }
         if wanted.goal.floor > 0:
             own["the reading that is judged"] = wanted.goal.floor
@@ -117,7 +118,7 @@ def with_hidden(aim: Aim, stand: Stand, pool: Pool, hidden: Sequence[ErrorSource
         return aim
     beyond = np.zeros((len(COEFFICIENTS), len(COEFFICIENTS)))
     for contribution in _endless(stand, pool, hidden).contributions:
-        if not stand.sizes.get(contribution.source.name, 0.0) > 0:
+        if contribution.source in hidden:
             beyond += contribution.covariance
     return replace(
         aim,
@@ -136,4 +137,11 @@ def _endless(stand: Stand, pool: Pool, hidden: Sequence[ErrorSource]) -> Budget:
         name: u if name in STAND_ANGLES else _WITHOUT_NOISE * u for name, u in stand.sizes.items() if u > 0
     }
     sources = [stand_source(name, Distribution(u)) for name, u in sizes.items()]
-    return make_budget(setup, [*sources, *hidden], GLS, stated=sizes)
+    of_model = effect_sources(setup)
+    if stand.known is None:
+        return make_budget(setup, [*sources, *of_model, *hidden], GLS, stated=sizes)
+    known = stand.known
+    if known.noise is not None:
+        known = replace(known, noise=known.noise.times(_WITHOUT_NOISE))
+    learned = learned_sources(sources, known, setup.conditions.mounts)
+    return make_budget(setup, [*learned, *of_model, *hidden], GLS, stated=sizes, known=known)

@@ -34,7 +34,8 @@ class TimeOutlook:
     """Bench time, s, and readings of the pool in each draw, (draws,); whether the goals were reached in it.
 
     `whole_s` is what the plan would take as it stands, `whole` its points to choose from, `scale` the noise
-    in units of what the bench file states; `has_goal` is whether more than a time was asked for.
+    in units of what the bench file states; `has_goal` is whether more than a time was asked for, `learned` whether
+    that noise was learned of the bench.
     """
 
     time_s: Floats
@@ -44,6 +45,7 @@ class TimeOutlook:
     whole: int
     scale: float
     has_goal: bool = True
+    learned: bool = False
 
     def quantiles(self, values: Floats) -> list[float]:
         """Return the quantiles `QUANTILES` of values (draws,)."""
