@@ -15,17 +15,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sqlalchemy import delete, insert, select
 
-from bench.analysis.history.due import METHOD
 from bench.api.errors import Refused
 from bench.base.progress import tracked
 from bench.catalogue.questions import condition_of
 from bench.catalogue.schema import DUES, RUNS
 from bench.catalogue.store import Catalogue
-from bench.catalogue.unit import INTERVAL_DAYS, compared_of, due_of, limit_of
 
 if TYPE_CHECKING:
     from sqlalchemy import ColumnElement, Connection
 
+INTERVAL_DAYS: Final = 365.0
+"""The interval that counts where there is no history, unless another is stated."""
+METHOD: Final = 1
+"""Of the reckoning (`bench.analysis.history.due`): it rises where dates would be others, and what was kept goes."""
 KEPT_AT_ONCE: Final = 20
 """Units whose answers are written at once: an ask that is ended goes on there."""
 
@@ -84,6 +86,9 @@ def _of_unit(
     catalogue: Catalogue, name: str, limit_g: float | None, interval_days: float | None
 ) -> tuple[dict[str, Any], str]:
     """Return when a unit is due (nothing, where no interval is given), and a mark of all that tells it."""
+    # what reckons takes longer to load than what was kept takes to read
+    from bench.catalogue.unit import compared_of, due_of, limit_of
+
     table, simulated, _ = compared_of(catalogue, name)
     limit = limit_g if limit_g is not None else limit_of(catalogue, [f"unit={name}"])
     mark = hashlib.sha256(f"{limit!r} {simulated}".encode())

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
@@ -79,10 +80,12 @@ def open_catalogue(where: str | Path | None = None, *, existing: bool = False) -
     """
     named = str(where or os.environ.get(VARIABLE) or cache_folder(FILE))
     try:
-        import alembic  # noqa: F401
         import sqlalchemy
     except ImportError as error:
         raise Refused(MISSING.format(error.name or "sqlalchemy", "catalogue")) from error
+    # it takes half as long to load as an answer may take, and is needed where the schema is not the present one
+    if find_spec("alembic") is None:
+        raise Refused(MISSING.format("alembic", "catalogue"))
     url = _url(named)
     told = url.render_as_string(hide_password=True) if url.get_backend_name() != "sqlite" else named
     if url.get_backend_name() == "sqlite":

@@ -15,14 +15,13 @@ from bench.analysis.history.due import Due, due
 from bench.api.errors import Refused
 from bench.base.arrays import Mask, u_of
 from bench.catalogue.answers import Answer, answer
+from bench.catalogue.dues import INTERVAL_DAYS
 from bench.catalogue.questions import condition_of
 from bench.catalogue.schema import RUNS, VERIFICATIONS
 from bench.catalogue.store import Catalogue
 from bench.catalogue.values import CoefficientTable, coefficient_table
 from bench.model.block import COEFFICIENTS
 
-INTERVAL_DAYS: Final = 365.0
-"""The interval that counts where there is no history, unless another is stated."""
 MOST_NAMED: Final = 8
 
 

@@ -16,7 +16,7 @@ from bench.base.forms import FileMistakes
 from bench.panel import assets
 from bench.panel.access.gate import Gate
 from bench.panel.access.people import Refusal
-from bench.panel.pages import catalogue, control, live, refused, runs, sign_in, start, verdict
+from bench.panel.pages import catalogue, check, control, live, refused, runs, sign_in, start, verdict
 from bench.panel.panel import Panel
 from bench.panel.settings import Settings
 from bench.readings.csv import ReadingsError
@@ -36,6 +36,7 @@ ROUTES = [
     Route("/catalogue", catalogue.units),
     Route("/catalogue/unit/{unit:path}", catalogue.unit),
     Route("/catalogue/figure/{unit:path}", catalogue.figure),
+    Route("/check", check.check),
     Route("/runs/{name}/", live.run),
     Route("/runs/{name}/answer", control.answer, methods=["POST"]),
     Route("/runs/{name}/wish", control.wish, methods=["POST"]),

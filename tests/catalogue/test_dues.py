@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.catalogue import dues
+from bench.catalogue import unit
 from bench.catalogue.dues import due_units
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
@@ -53,13 +53,13 @@ def test_what_was_reckoned_is_kept_until_a_run_of_the_unit_changes(catalogue, mo
     before, _ = counts(catalogue, limit_g=5e-4)
     assert before == {"block A 1": 3, "block A 2": 3, "block A 3": 1}
     reckoned = []
-    whole = dues.due_of
+    whole = unit.due_of
 
     def counted(table, *rest, **more):
         reckoned.append(len(table))
         return whole(table, *rest, **more)
 
-    monkeypatch.setattr(dues, "due_of", counted)
+    monkeypatch.setattr(unit, "due_of", counted)
     assert counts(catalogue, limit_g=5e-4)[0] == before
     assert reckoned == []
     # another limit is another question
@@ -83,7 +83,7 @@ def test_what_was_reckoned_is_kept_until_a_run_of_the_unit_changes(catalogue, mo
 
 
 def test_a_run_that_comes_while_it_is_reckoned_is_not_lost(catalogue, monkeypatch):
-    whole = dues.due_of
+    whole = unit.due_of
 
     def meanwhile(table, *rest, **more):
         if not Path("runs/new").exists():
@@ -91,7 +91,7 @@ def test_a_run_that_comes_while_it_is_reckoned_is_not_lost(catalogue, monkeypatc
             sync(catalogue, ["runs"])
         return whole(table, *rest, **more)
 
-    monkeypatch.setattr(dues, "due_of", meanwhile)
+    monkeypatch.setattr(unit, "due_of", meanwhile)
     assert counts(catalogue, limit_g=5e-4)[0]["block A 1"] == 3
     # what was reckoned without the new run was not kept
     assert counts(catalogue, limit_g=5e-4)[0]["block A 1"] == 4

@@ -12,24 +12,13 @@ from bench.api import check_block, checked_before
 from bench.api.check_block import chart_of, check_block_runs
 from bench.api.checked_before import check_before
 from bench.api.errors import Refused
-from bench.api.execution import carry_out, new_run
+from bench.api.execution import new_run
 from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench
 from bench.run.folder import Run
+from tests.support.check_runs import measured, write_bench
 from tests.support.schemas import keeps_to
 
 SHIFT = "model_file: 1\nname: a meter off\neffects:\n  - name: voltmeter_offset\n    parameters: {offset: 600 uV}\n"
-SECTION = "\ncheck_block:\n  serial: CHECK-1\n  rule: refuse\n  baseline: 3\n"
-
-
-def measured(
-    name: str, seed: int, *, unit: str | None = "CHECK-1", model: Path | None = None, **asked
-) -> Run:
-    new = new_run(
-        "quick", "my.yaml", Path("runs"), dry_run=True, seed=seed, name=name, unit=unit, model=model, **asked
-    )
-    carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
-    return Run(new.folder)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +27,7 @@ def laboratory(tmp_path_factory):
     folder = tmp_path_factory.mktemp("laboratory")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        text = find_bench("paper-stand").read_text(encoding="utf-8")
-        Path("my.yaml").write_text(text + SECTION, encoding="utf-8")
+        write_bench()
         Path("shift.yaml").write_text(SHIFT, encoding="utf-8")
         for day in range(4):
             measured(f"check-{day}", seed=10 + day)

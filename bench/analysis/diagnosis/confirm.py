@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from typing import Any, Final, Literal
 
@@ -21,6 +22,7 @@ from bench.analysis.diagnosis.evidence import KNOWN_SIZE
 from bench.analysis.diagnosis.free_result import FreeDiagnosis
 from bench.analysis.diagnosis.gap import BY_CHANCE, FLOOR, LEAST_CLOSED, part_closed, rms
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
+from bench.analysis.diagnosis.looked import in_the_noise_of
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.analysis.diagnosis.result import Diagnosis, EffectValue
 from bench.analysis.diagnosis.threshold import ThresholdCache
@@ -147,8 +149,9 @@ def confirm(
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
     corrected, noise = diagnosis.mistakes.corrected, diagnosis.noise
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
-    without = make_linear(corrected, replace(model, effects=()), stand)
-    having = make_linear(corrected, model, stand)
+    as_found = partial(in_the_noise_of, diagnosis.linear, diagnosis.weighed)
+    without = as_found(make_linear(corrected, replace(model, effects=()), stand))
+    having = as_found(make_linear(corrected, model, stand))
     after, chi2 = _left(having, noise)
     before, _ = _left(without, noise)
     freedom = len(having) - FIXED

@@ -29,7 +29,6 @@ from bench.analysis.diagnosis.joint import find_mistakes_in_each, with_blocks
 from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.left_open import left_open
-from bench.analysis.diagnosis.looked import look
 from bench.analysis.diagnosis.naming import Naming
 from bench.analysis.diagnosis.noise_findings import NoiseFinding, noise_findings
 from bench.analysis.diagnosis.noise_grid import RATIOS
@@ -41,6 +40,7 @@ from bench.analysis.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValu
 from bench.analysis.diagnosis.rounding import digit_of
 from bench.analysis.diagnosis.same_signature import same_signature
 from bench.analysis.diagnosis.shapes import beside, channels_of, with_other_shapes
+from bench.analysis.diagnosis.straight import look
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.visibility import detectable, hidden, smallest
 from bench.analysis.diagnosis.where import find_places
@@ -142,6 +142,7 @@ def diagnose(
         whitened=whitened,
         data=data,
         findings=findings,
+        weighed=looked.weighed,
         noise_kinds=described,
         notes=(
             *readings.notes,

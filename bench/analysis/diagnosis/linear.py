@@ -63,6 +63,7 @@ class LinearSystem:
     the block stood at the verification points, None where they do not tell it; where it contradicts the bench file
     the installation V of `model` is as measured. `by_channel` (3,) is how large the noise of a channel is beside
     the others', 1 on the average of squares; `by_run` the same of each of several runs, None where they are alike.
+    The last `of_noise` columns of `random` are noise that readings share.
     """
 
     readings: Readings
@@ -80,9 +81,16 @@ class LinearSystem:
     orientation: Orientation | None
     by_channel: Floats = field(default_factory=lambda: np.ones(3), kw_only=True)
     by_run: RunSizes | None = field(default=None, kw_only=True)
+    of_noise: int = field(default=0, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.response)
+
+    def with_noise(self, *columns: Floats) -> LinearSystem:
+        """Return the system with noise that readings share, columns (N, …) of unit variance, as random."""
+        random = np.column_stack([self.random, *columns])
+        added = random.shape[1] - self.random.shape[1]
+        return replace(self, random=random, of_noise=self.of_noise + added)
 
     @property
     def own(self) -> slice:

@@ -1,45 +1,33 @@
-"""Readings prepared for a search, about a point near enough that what is large is linear there, too.
+"""Readings prepared for a search, and the one rule by which their noise is taken as it is.
 
-A slip of a degree shows in second order by ten times the noise. So where what is found changes the readings by
-more than its columns say, the forward model takes it off them, the coefficients are guessed anew, and what the
-columns say is put back: a step of Gauss and Newton, after which all is as before, but linear.
+A search begins with normal noise of one size in all channels. What is left beside all that was found says whether
+it is: never what is left beside nothing, which a slip makes large in one channel. If not, all is looked for again
+in the noise as it is. One run and several taken together come here with a search of their own, and whoever holds
+readings against a model takes the noise that was found here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
-from bench.analysis.calibration import CalibrationError
-from bench.analysis.calibration.design import FIXED
-from bench.analysis.diagnosis.applied import applied_of
-from bench.analysis.diagnosis.candidates import Candidates, make_candidates
+from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
-from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
-from bench.analysis.diagnosis.noise_grid import RATIOS, NoiseGrid, make_noise_grid
-from bench.analysis.diagnosis.posterior import fit_found, noise_size
-from bench.analysis.diagnosis.repeats import Repeats, noise_of_repeats
-from bench.analysis.diagnosis.rounding import is_rounded, with_rounding
+from bench.analysis.diagnosis.linear import LinearSystem
+from bench.analysis.diagnosis.naming import Naming, Scored, name
+from bench.analysis.diagnosis.posterior import noise_size
+from bench.analysis.diagnosis.repeats import Repeats
 from bench.analysis.diagnosis.slow_noise import SlowNoise, slow_noise, with_slow_noise
-from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
+from bench.analysis.diagnosis.threshold import Threshold
 from bench.analysis.diagnosis.weighing import WeighedDown, weigh_down
 from bench.base.arrays import Floats
-from bench.model import Block, ForwardModel
-from bench.readings.table import Readings
 
-BENT: Final = 0.3
-"""What an effect may change a reading beyond its columns, in units of noise, and count as linear."""
-STEPS: Final = 6
-"""Steps after which what is not linear yet stays as it is: it is left over, and told."""
 CLEAR: Final = 6.0
 """What is so far above the threshold is there whatever the ratio of the noises."""
-FINER: Final = (0.6, 0.77, 1.0, 1.3, 1.67)
-"""Ratios about that of the noises as they were found: parts of it."""
 TOO_LARGE: Final = 0.7
 """Repeats that say more than the noise over this have what was found in them, as a reading that stands apart is."""
 SAME_SIZE: Final = 0.1
@@ -65,73 +53,45 @@ class Looked:
     slow: tuple[SlowNoise, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Task:
-    readings: Readings
-    model: ForwardModel
-    stand: Mapping[str, float]
-    setting_rad: float
-    resolution: float
-    cache: ThresholdCache
-    absent: Collection[str]
-
-    def linear(self, readings: Readings) -> LinearSystem:
-        """Make readings linear; with the error of rounding that repeats, where the last digit is coarse."""
-        linear = make_linear(readings, self.model, self.stand)
-        repeats = noise_of_repeats(linear, self.resolution)
-        return with_rounding(linear, self.resolution, repeats.sigma)
+Prepare = Callable[[LinearSystem, Threshold, float], Looked]
+"""Prepares readings for a search, with the limit of such readings and the most that their noise is."""
 
 
-def look(
-    readings: Readings,
-    model: ForwardModel,
-    stand: Mapping[str, float],
-    setting_rad: float,
-    cache: ThresholdCache,
-    resolution: float,
-    absent: Collection[str] = (),
-) -> tuple[Looked, Naming]:
-    """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
+class Again(Protocol):
+    """Looks for all again in readings that are weighed otherwise: about what `looked` is about."""
 
-    The channels have noise of one size at first. What is left beside all that was found says whether they have:
-    never what is left beside nothing, which a slip makes large in one channel. If not, all is looked for again.
-    Nor has the noise heavy tails at first; where it has, readings far out are weighed down. Nor is it slow.
+    def __call__(
+        self, looked: Looked, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
+    ) -> tuple[Looked, Naming]:
+        """Prepare and search `linear`, with the `limit` of such readings and the `most` noise where known."""
 
-    `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
-    `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
-    Raises `CalibrationError` where there is too little to fit.
+
+def noise_as_it_is(looked: Looked, naming: Naming, again: Again) -> tuple[Looked, Naming]:
+    """Look for all again where what is left has heavy tails, and where its channels differ.
+
+    What explains more of the readings than all that was found, as channels with noise of their own may, stands in
+    its place. Readings that are rounded alike tell nothing of their noise: that of rounding is believed.
     """
-    task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
-    looked, naming = _noise_looked_at(task, *_straight(task, _prepared(task, task.linear(readings))))
-    looked, naming = _beside_slow_noise(task, looked, naming)
-    return looked, _closer(task, looked, naming)
-
-
-def _noise_looked_at(task: _Task, looked: Looked, naming: Naming) -> tuple[Looked, Naming]:
-    """Look for all again where what is left has heavy tails, and where its channels differ."""
     if looked.whitened.grid.known:
         return looked, naming
-    looked, naming = _own_sizes_instead(task, looked, naming)
+    looked, naming = _own_sizes_instead(looked, naming, again)
     noise = noise_size(looked.whitened, looked.data, naming.columns)
     if noise.reading < TOO_LARGE * looked.repeats.sigma:
-        again = _prepared(task, looked.linear, looked.limit, noise.reading)
-        looked, naming = _straight(task, replace(again, bend=looked.bend))
+        looked, naming = again(looked, looked.linear, looked.limit, noise.reading)
         noise = noise_size(looked.whitened, looked.data, naming.columns)
     weighed = weigh_down(looked.linear, looked.candidates, naming, noise)
     if weighed is not None:
         # the noise is smaller for it, and the limits of the stand are larger beside it
         less = replace(looked.linear, response=looked.linear.response + weighed.pull)
-        again = _prepared(task, less, looked.limit, noise.reading)
-        looked, naming = _straight(task, replace(again, bend=looked.bend, weighed=weighed))
+        looked, naming = again(replace(looked, weighed=weighed), less, looked.limit, noise.reading)
     sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming.columns).sizes
     if np.max(np.abs(np.log(sizes / looked.linear.by_channel))) < SAME_SIZE:
         return looked, naming
     noise = noise_size(looked.whitened, looked.data, naming.columns)
-    again = _prepared(task, replace(looked.linear, by_channel=sizes), most=noise.reading)
-    return _straight(task, replace(again, bend=looked.bend, weighed=looked.weighed))
+    return again(looked, replace(looked.linear, by_channel=sizes), most=noise.reading)
 
 
-def _own_sizes_instead(task: _Task, looked: Looked, naming: Naming) -> tuple[Looked, Naming]:
+def _own_sizes_instead(looked: Looked, naming: Naming, again: Again) -> tuple[Looked, Naming]:
     """Look for all again where channels with noise of their own sizes explain more than all that was found.
 
     A channel with more noise than the others looks as if something were missing in it alone, and what takes that up
@@ -142,10 +102,10 @@ def _own_sizes_instead(task: _Task, looked: Looked, naming: Naming) -> tuple[Loo
     told = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, ())
     if told.evidence < sum(found.total for found in naming.found):
         return looked, naming
-    return _straight(task, _prepared(task, replace(looked.linear, by_channel=told.sizes)))
+    return again(looked, replace(looked.linear, by_channel=told.sizes))
 
 
-def _beside_slow_noise(task: _Task, looked: Looked, naming: Naming) -> tuple[Looked, Naming]:
+def beside_slow_noise(looked: Looked, naming: Naming, prepare: Prepare) -> tuple[Looked, Naming]:
     """Look for all again beside slow noise, where that explains the readings better than all that was found does.
 
     What is found clearly is there: never does it pass for slow noise.
@@ -157,92 +117,24 @@ def _beside_slow_noise(task: _Task, looked: Looked, naming: Naming) -> tuple[Loo
     if not slow or sum(one.odds for one in slow) < sum(found.evidence for found in naming.found):
         return looked, naming
     noise = noise_size(looked.whitened, looked.data, naming.columns)
-    again = _prepared(task, with_slow_noise(looked.linear, slow), looked.limit, noise.reading)
+    again = prepare(with_slow_noise(looked.linear, slow), looked.limit, noise.reading)
     again = replace(again, bend=looked.bend, weighed=looked.weighed, slow=slow)
     return again, name(again.whitened, again.data, again.limit)
 
 
-def _closer(task: _Task, looked: Looked, naming: Naming) -> Naming:
-    """Find again what hardly reached the threshold, with the ratio of the noises on a finer grid about its own.
+def in_the_noise_of(looked: LinearSystem, weighed: WeighedDown | None, linear: LinearSystem) -> LinearSystem:
+    """Return a system of the same readings and another model, its noise as it was found: `looked`, `weighed`.
 
-    Between two ratios of the grid of the search a setting error is up to 1.4 times as large as it is taken for, and
-    effects that act as it does look as much more than they are.
+    Of several blocks the sizes alone: their rows stand in another order.
     """
-    if not naming.found or min(found.total for found in naming.found) > looked.limit.value + CLEAR:
-        return naming
-    linear, coarse = looked.linear, looked.whitened.grid
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
-    ratio = noise.setting_rad / noise.reading * linear.typical_slope
-    if ratio < RATIOS[1]:
-        return naming
-    grid = make_noise_grid(linear, coarse.sigma, task.setting_rad, [ratio * part for part in FINER])
-    whitened = Whitened.of(replace(grid, known=coarse.known), looked.candidates)
-    return name(whitened, whitened.reduce(linear.response[:, None]), looked.limit)
-
-
-def _straight(task: _Task, looked: Looked) -> tuple[Looked, Naming]:
-    """Find what is missing, about a point near enough."""
-    most = 1
-    naming = name(looked.whitened, looked.data, looked.limit, most)
-    for _ in range(STEPS):
-        straight = _straightened(task, looked, naming) if naming.found else None
-        if straight is None:
-            if not naming.found or most == MOST_EFFECTS:
-                return looked, naming
-            most = MOST_EFFECTS
-        looked = straight or looked
-        naming = name(looked.whitened, looked.data, looked.limit, most)
-    return looked, name(looked.whitened, looked.data, looked.limit)
-
-
-def _prepared(
-    task: _Task, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-) -> Looked:
-    """Prepare readings for the search; with the `limit` of such readings and the `most` noise where known."""
-    repeats = noise_of_repeats(linear, task.resolution)
-    repeats = replace(repeats, sigma=min(repeats.sigma, most))
-    grid = _grid(task, linear, repeats)
-    candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
-    whitened = Whitened.of(grid, candidates)
-    limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
-    data = whitened.reduce(linear.response[:, None])
-    return Looked(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
-
-
-def _grid(task: _Task, linear: LinearSystem, repeats: Repeats) -> NoiseGrid:
-    grid = make_noise_grid(linear, repeats.sigma, task.setting_rad)
-    return replace(grid, known=is_rounded(task.resolution, repeats.sigma))
-
-
-def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
-    """Return the readings about what was found; None where they are linear in it as they are."""
-    linear, candidates = looked.linear, looked.candidates
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
-    fitted = fit_found(linear, candidates, naming, noise)
-    parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.parts() if f.variant.named]
-    if not parts:
-        return None
-    effects = tuple(a for v, value in parts for a in applied_of(candidates, v, value, 0.0 * value))
-    block = Block.from_vector(linear.block.vector + fitted.mean[:FIXED])
-    change = linear.view.own(linear.model, effects, block)
-    columns = [column for variant, _ in parts for column in variant.columns]
-    sizes = np.concatenate([value for _, value in parts])
-    moved = linear.rows_of(change)
-    bend = moved - candidates.columns[:, columns] @ sizes - looked.bend
-    if float(np.max(np.abs(bend))) < BENT * noise.reading:
-        return None
-    readings = task.readings
-    try:
-        again = task.linear(replace(readings, signal=readings.signal - change))
-    except CalibrationError:  # what was found is too large to be true
-        return None
-    told = make_candidates(again, looked.repeats.sigma, absent=task.absent)
-    if told.kinds != candidates.kinds:
-        return None
-    back = told.columns[:, columns] @ sizes
-    pull = 0.0 if looked.weighed is None else looked.weighed.pull
-    response = again.response + back + pull
-    about = replace(again, readings=readings, response=response, by_channel=linear.by_channel)
-    whitened = Whitened.of(_grid(task, about, looked.repeats), told)
-    data = whitened.reduce(about.response[:, None])
-    return Looked(about, looked.repeats, told, whitened, data, looked.limit, moved - back, looked.weighed)
+    linear = replace(linear, by_channel=looked.by_channel, by_run=looked.by_run)
+    if looked.readings.block is not None:
+        return linear
+    pull = 0.0 if weighed is None else weighed.pull
+    of_noise = looked.random[:, looked.random.shape[1] - looked.of_noise :]
+    return replace(
+        linear,
+        response=linear.response + pull,
+        random=np.column_stack([linear.random, of_noise]),
+        of_noise=looked.of_noise,
+    )

@@ -9,19 +9,18 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates, Column, make_candidates
-from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.joint import make_system
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.looked import SAME_SIZE, Looked
+from bench.analysis.diagnosis.looked import Looked, noise_as_it_is
 from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
-from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.noise_of_runs import with_sizes_of_runs
 from bench.analysis.diagnosis.posterior import noise_size, posterior
 from bench.analysis.diagnosis.repeats import noise_of_repeats
+from bench.analysis.diagnosis.rounding import grid_with_rounding, with_rounding
 from bench.analysis.diagnosis.runs import candidates_of
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
-from bench.analysis.diagnosis.weighing import weigh_down
+from bench.analysis.diagnosis.weighing import WeighedDown
 from bench.base.arrays import Floats, Mask
 from bench.base.progress import tracked
 from bench.model import ForwardModel
@@ -55,19 +54,18 @@ UNLIKELY: Final = 5.0
 
 @dataclass(frozen=True)
 class _EachRun:
-    """How each run is searched by itself: limits of the stand, thresholds, the noise of a reading.
+    """How each run is searched by itself: limits of the stand, the last digit, thresholds, the noise of a reading.
 
-    `by_channel` (3,) are the sizes of the channels' noise beside each other, `pull` (N,) by how much rows of all
-    runs are weighed down.
+    `weighed` says by how much rows of all runs are weighed down.
     """
 
     stand_u: Mapping[str, float]
     setting_rad: float
+    resolution: float
     cache: ThresholdCache
     absent: Collection[str]
     sigma: float = 0.0
-    by_channel: Floats | None = None
-    pull: Floats | None = None
+    weighed: WeighedDown | None = None
 
 
 def look_at_runs(
@@ -80,34 +78,31 @@ def look_at_runs(
     absent: Collection[str] = (),
 ) -> tuple[Looked, Naming]:
     """Prepare readings of several runs and find what is missing; arguments and errors as of `look` for one."""
-    each = _EachRun(stand, setting_rad, cache, absent)
+    each = _EachRun(stand, setting_rad, resolution, cache, absent)
+
+    def again(
+        looked: Looked, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
+    ) -> tuple[Looked, Naming]:
+        fresh, naming = _looked(linear, replace(each, weighed=looked.weighed), limit, most)
+        return replace(fresh, weighed=looked.weighed), naming
+
     whole = make_system(readings, model, stand)
     whole = with_sizes_of_runs(whole, resolution / np.sqrt(12.0))
-    looked, naming = _looked(whole, resolution, each)
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
-    weighed = weigh_down(looked.linear, looked.candidates, naming, noise)
-    if weighed is not None:
-        less = replace(looked.linear, response=looked.linear.response + weighed.pull)
-        looked, naming = _looked(less, resolution, replace(each, pull=weighed.pull))
-        looked = replace(looked, weighed=weighed)
-    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming.columns).sizes
-    if np.max(np.abs(np.log(sizes))) < SAME_SIZE:
-        return looked, naming
-    pull = None if weighed is None else weighed.pull
-    again, naming = _looked(
-        replace(looked.linear, by_channel=sizes), resolution, replace(each, by_channel=sizes, pull=pull)
-    )
-    return replace(again, weighed=weighed), naming
+    whole = with_rounding(whole, resolution, noise_of_repeats(whole, resolution).sigma)
+    return noise_as_it_is(*_looked(whole, each), again)
 
 
-def _looked(linear: LinearSystem, resolution: float, each: _EachRun) -> tuple[Looked, Naming]:
-    """Look in all runs together and in each, with the noise that the system has."""
-    repeats = noise_of_repeats(linear, resolution)
+def _looked(
+    linear: LinearSystem, each: _EachRun, limit: Threshold | None = None, most: float = np.inf
+) -> tuple[Looked, Naming]:
+    """Look in all runs together and in each, with the noise that the system has; `limit`, `most` where known."""
+    repeats = noise_of_repeats(linear, each.resolution)
+    repeats = replace(repeats, sigma=min(repeats.sigma, most))
     whitened = Whitened.of(
-        make_noise_grid(linear, repeats.sigma, each.setting_rad),
+        grid_with_rounding(linear, repeats.sigma, each.setting_rad, each.resolution),
         candidates_of(linear, repeats.sigma, each.absent),
     )
-    limit = each.cache.threshold(linear, whitened, each.setting_rad).at(TOGETHER)
+    limit = limit or each.cache.threshold(linear, whitened, each.setting_rad).at(TOGETHER)
     whitened, naming = _name_in_all_and_each(linear, whitened, limit, replace(each, sigma=repeats.sigma))
     data = whitened.reduce(linear.response[:, None])
     bend = np.zeros(len(linear))
@@ -177,7 +172,8 @@ def _look_in_each(
     for run in tracked(runs, "runs, each by itself"):
         sigma = each.sigma * run.size
         own = make_candidates(run.linear, sigma, absent=each.absent)
-        whitened = Whitened.of(make_noise_grid(run.linear, sigma, each.setting_rad), own)
+        grid = grid_with_rounding(run.linear, sigma, each.setting_rad, each.resolution)
+        whitened = Whitened.of(grid, own)
         if limit is None:
             limit = each.cache.threshold(run.linear, whitened, each.setting_rad).at(ALONE / len(runs))
         for one in name(whitened, whitened.reduce(run.linear.response[:, None]), limit).found:
@@ -193,11 +189,11 @@ def _runs(linear: LinearSystem, in_all: Floats, each: _EachRun) -> Iterator[_Run
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
         alone = make_linear(table, linear.model, each.stand_u)
-        pull = 0.0 if each.pull is None else each.pull[rows]
-        alone = replace(alone, response=alone.response + pull - in_all[rows])
+        pull = 0.0 if each.weighed is None else each.weighed.pull[rows]
+        response = alone.response + pull - in_all[rows]
+        alone = replace(alone, response=response, by_channel=linear.by_channel)
         size = 1.0 if linear.by_run is None else float(linear.by_run.sizes[number])
-        alone = alone if each.by_channel is None else replace(alone, by_channel=each.by_channel)
-        yield _Run(rows, alone, size)
+        yield _Run(rows, with_rounding(alone, each.resolution, size * each.sigma), size)
 
 
 def _embedded(candidates: Candidates, own: Candidates, one: Found, run: _Run) -> tuple[Candidates, Found]:

@@ -18,6 +18,7 @@ from bench.analysis.diagnosis.noise_kinds import NoiseKind
 from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
 from bench.analysis.diagnosis.registration import Registration
 from bench.analysis.diagnosis.visibility import Smallest
+from bench.analysis.diagnosis.weighing import WeighedDown
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake, MistakeSearch
 from bench.base.arrays import CHANNELS, Floats
@@ -132,7 +133,8 @@ class Diagnosis:
     `whitened` and `data` are those in which it was found;
     `in_part` what the effects may have of other shapes, which is in the coefficients' u, `left_open` what the
     readings left of it, for a model file; `findings` where noise is
-    larger than stated, `noise_kinds` in what it is no normal noise of one size.
+    larger than stated, `noise_kinds` in what it is no normal noise of one size; `weighed` what
+    readings were weighed down by.
     """
 
     verdict: Verdict
@@ -161,6 +163,7 @@ class Diagnosis:
     findings: tuple[NoiseFinding, ...] = ()
     noise_kinds: tuple[NoiseKind, ...] = ()
     notes: tuple[str, ...] = ()
+    weighed: WeighedDown | None = None
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.linear import LinearSystem
+from bench.analysis.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.analysis.diagnosis.repeats import cells_of
 from bench.readings.table import Readings
 
@@ -53,7 +54,12 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
     key = 3 * np.repeat(cells_of(linear), 3) + linear.rows.channel[oriented]
     columns = np.zeros((len(linear), int(key.max()) + 1))
     columns[oriented, key] = size
-    return replace(linear, random=np.column_stack([linear.random, columns]))
+    return linear.with_noise(columns)
+
+
+def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
+    """Return the maps of `make_noise_grid`; the noise is believed where rounding repeats itself."""
+    return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
 
 
 def repeated(digit: float, sigma: float) -> float:

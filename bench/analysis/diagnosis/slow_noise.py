@@ -9,7 +9,7 @@ variance that ends at zero S. G. Self, K.-Y. Liang, J. Am. Stat. Assoc. 82 (1987
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -93,4 +93,4 @@ def _waves(linear: LinearSystem, channel: int) -> Floats | None:
 
 def with_slow_noise(linear: LinearSystem, slow: Sequence[SlowNoise]) -> LinearSystem:
     """Return the system with slow noise among what is random."""
-    return replace(linear, random=np.column_stack([linear.random, *(one.columns for one in slow)]))
+    return linear.with_noise(*(one.columns for one in slow))

@@ -26,8 +26,6 @@ MOST_YEARS: Final = 20.0
 """A history does not foretell further."""
 STEPS: Final = (92, 7, 1)
 """Days between looks for the day that is due, each within the one before."""
-METHOD: Final = 1
-"""Of this reckoning: what was kept of another is not taken. It rises where dates would be others."""
 DAY: Final = np.timedelta64(1, "D")
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
 from bench.panel import look
 from bench.panel.access.acting import panel_of, person_of
+
+APART: Final = {
+    "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+}
+"""Of a page that stands by itself, as a file: its own style, and nothing of it acts."""
 
 
 def page(request: Request, name: str, *, status: int = 200, **content: Any) -> HTMLResponse:

@@ -16,16 +16,11 @@ from bench.panel.certificates import Issued
 from bench.panel.folder import read_page
 from bench.panel.launching.carrying import diagnose as begin
 from bench.panel.launching.choices import NEXT
-from bench.panel.pages.shown import page
+from bench.panel.pages.shown import APART, page
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
 from bench.run.folder import Run
 
 MOST_TOLD: Final = 50
-APART: Final = {
-    "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-}
-"""Of a page that stands by itself, as a file: its own style, and nothing of it acts."""
 
 
 def verdict(request: Request) -> Response:

@@ -9,9 +9,11 @@ from scipy.stats import binom
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.joint import make_system
 from bench.analysis.diagnosis.linear import RunSizes
+from bench.analysis.diagnosis.looked import in_the_noise_of
 from bench.analysis.diagnosis.noise_findings import noise_findings
 from bench.analysis.diagnosis.noise_of_runs import p_alike, with_sizes_of_runs
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior
+from bench.analysis.diagnosis.weighing import WeighedDown
 from bench.readings.joined import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, STAND_U, K, paper_run
 
@@ -121,6 +123,32 @@ def test_what_both_have_is_found_as_well_as_the_better_run_shows_it():
     as_noisy = runs(3, 3, backlash_rad=20 * arcsec, directions=(1, -1, 1))
     noisier = diagnose(as_noisy, MODEL, STAND, np.diag(K), OneThreshold(None))
     assert value.u < 0.85 * noisier.effects[0].parameters[0].u
+
+
+@pytest.mark.slow
+def test_runs_that_are_rounded_share_the_error_of_rounding_as_one_run_does():
+    """To 90 uV, six times the noise: readings of a setting are rounded alike, and what they share is no effect."""
+    tables = runs(1, 1)
+    rounded = replace(tables, signal=np.round(tables.signal / 90e-6) * 90e-6)
+    found = diagnose(rounded, MODEL, STAND, np.diag(K), OneThreshold(None))
+    assert found.verdict == "agrees"
+    assert found.whitened.grid.known
+    assert found.linear.of_noise == 2 * 2 * 9 * 3  # runs, installations, angles, channels
+    assert found.noise.reading >= 90e-6 / np.sqrt(12.0)
+
+
+def test_a_model_is_held_against_readings_in_the_noise_that_was_found_in_them():
+    system = make_system(replace(runs(1, 3), block=None), MODEL, STAND_U)
+    shared = np.zeros((len(system), 2))
+    shared[::2, 0] = shared[1::2, 1] = NOISE_V
+    sizes = RunSizes(np.array([1.0, 3.0]) / np.sqrt(5.0), np.array([40.0, 40.0]))
+    looked = replace(system.with_noise(shared), by_channel=np.array([0.5, 1.0, 1.32]), by_run=sizes)
+    pull = np.where(np.arange(len(system)) == 7, -50e-6, 0.0)
+    taken = in_the_noise_of(looked, WeighedDown(pull, 1, 3.0), system)
+    np.testing.assert_allclose(taken.relative, looked.relative)
+    np.testing.assert_allclose(taken.random[:, -2:], shared)
+    np.testing.assert_allclose(taken.response - system.response, pull)
+    assert np.array_equal(in_the_noise_of(system, None, system).random, system.random)
 
 
 def test_noise_that_is_larger_than_stated_is_a_finding_of_its_run():

@@ -1,0 +1,32 @@
+"""Dry runs of the check block of a bench, in a folder `runs` beside its bench file `my.yaml`."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.api.execution import carry_out, new_run
+from bench.files.shipped import find_bench
+from bench.run.folder import Run
+
+SECTION = "\ncheck_block:\n  serial: CHECK-1\n  rule: refuse\n  baseline: 3\n"
+
+
+def write_bench() -> None:
+    """Write the bench file, with a check block."""
+    text = find_bench("paper-stand").read_text(encoding="utf-8")
+    Path("my.yaml").write_text(text + SECTION, encoding="utf-8")
+
+
+def measured(
+    name: str, seed: int, *, unit: str | None = "CHECK-1", model: Path | None = None, **asked: Any
+) -> Run:
+    """Return a run of the check block, or of another unit."""
+    new = new_run(
+        "quick", "my.yaml", Path("runs"), dry_run=True, seed=seed, name=name, unit=unit, model=model, **asked
+    )
+    carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
+    return Run(new.folder)
