@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import yaml
@@ -71,7 +71,29 @@ class LeftOpen(FileModel):
         return in_part(self.of, number, tuple(entry.applied() for entry in self.effects), self.part, self.u)
 
 
-class ModelFile(FileModel):
+class WithEffects(FileModel):
+    """A file with `effects`, and with the `formulas` of the user's own that some of them rest on."""
+
+    if TYPE_CHECKING:
+        formulas: tuple[FormulaEntry, ...]
+        effects: tuple[EffectEntry, ...]
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield the mistakes in the effects and in the formulas that they rest on."""
+        return mistakes_with_formulas(data)
+
+    def own_effects(self) -> tuple[Effect, ...]:
+        """Return the effects of the user's own whose formulas stand in the file."""
+        return tuple(entry.effect() for entry in self.formulas)
+
+    def applied_effects(self) -> tuple[AppliedEffect, ...]:
+        """Return the effects with their values in SI."""
+        with CATALOGUE.also(self.own_effects()):
+            return tuple(entry.applied() for entry in self.effects)
+
+
+class ModelFile(WithEffects):
     """A model file: `parent` is the model that it was made from, `data_sha256` what it was found in.
 
     `evidence` is kept as text for the reader of the file; nothing is computed from it. `dark_uncertainty` is what
@@ -89,24 +111,15 @@ class ModelFile(FileModel):
     effects: tuple[EffectEntry, ...] = ()
     left_open: tuple[LeftOpen, ...] = ()
 
-    @classmethod
-    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield the mistakes in the effects and in the formulas that they rest on."""
-        return mistakes_with_formulas(data)
-
-    def own_effects(self) -> tuple[Effect, ...]:
-        """Return the effects of the user's own whose formulas stand in the file."""
-        return tuple(entry.effect() for entry in self.formulas)
-
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects with their values in SI."""
+        """Return the effects with their values in SI, with what is open of them."""
+        count: Counter[str] = Counter()
+        open_ones = []
         with CATALOGUE.also(self.own_effects()):
-            count: Counter[str] = Counter()
-            open_ones = []
             for entry in self.left_open:
                 count[entry.of] += 1
                 open_ones.append(entry.applied(count[entry.of]))
-            return (*(entry.applied() for entry in self.effects), *open_ones)
+        return (*super().applied_effects(), *open_ones)
 
 
 def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:

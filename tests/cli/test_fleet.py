@@ -1,12 +1,15 @@
 """Many units on many benches from the command line: bench or block, equivalence, a prior, drift, capability."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
+from bench.catalogue.store import open_catalogue
+from bench.catalogue.sync import sync
 from bench.model.block import COEFFICIENTS
 from tests.support.laboratory import VECTOR, U, write_run
 from tests.support.schemas import keeps_to
@@ -16,10 +19,10 @@ OFF_V = 8 * U
 """What bench-02 is off by in Kyy."""
 
 
-@pytest.fixture
-def laboratory(empty_folder, monkeypatch, bench):
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory):
     """Eight units, thrice each on two benches within a year; errors as stated, units differ by 2e-4 V."""
-    monkeypatch.setenv("TRIAXIAL_BENCH_CATALOGUE", "laboratory.sqlite")
+    folder = tmp_path_factory.mktemp("laboratory")
     rng = np.random.default_rng(11)
     for unit in range(8):
         own = 2e-4 * rng.normal(size=12)
@@ -28,11 +31,20 @@ def laboratory(empty_folder, monkeypatch, bench):
             stand = (unit + k) % 2
             shift[KYY] += OFF_V * stand
             write_run(
-                Path("runs") / f"{unit}-{k}", serial=str(unit), bench=f"bench-0{stand + 1}", shift=shift,
+                folder / f"{unit}-{k}", serial=str(unit), bench=f"bench-0{stand + 1}", shift=shift,
                 created=f"2025-{4 * k + 1:02}-1{unit}T08:00:00+00:00",
                 meters=(f"A{stand}", f"B{stand}", f"C{stand}"),
             )  # fmt: skip
-    assert bench("catalogue", "sync", "runs")[0] == 0
+    with open_catalogue(folder / "laboratory.sqlite") as opened:
+        assert sync(opened, [folder], processes=1).added == 24
+    return folder / "laboratory.sqlite"
+
+
+@pytest.fixture
+def laboratory(catalogue, empty_folder, monkeypatch, bench):
+    """The command line over a catalogue of its own of that laboratory."""
+    shutil.copy(catalogue, "laboratory.sqlite")
+    monkeypatch.setenv("TRIAXIAL_BENCH_CATALOGUE", "laboratory.sqlite")
     return bench
 
 
@@ -81,8 +93,8 @@ def test_a_reference_that_there_is_not_is_told(laboratory):
 
 
 def test_simulated_and_real_are_not_mixed(laboratory):
-    write_run(Path("runs") / "dry", serial="1", simulated=True)
-    laboratory("catalogue", "sync", "runs")
+    write_run(Path("further") / "dry", serial="1", simulated=True)
+    laboratory("catalogue", "sync", "further")
     status, _, err = laboratory("fleet", "effects")
     assert status == 2
     assert "1 of 25 calibrations are simulated: ask for simulated=yes or simulated=no" in err
@@ -120,9 +132,9 @@ def write_others(made, dry_vector):
 
 
 @pytest.mark.slow
-def test_a_calibration_with_the_prior_of_its_type(empty_folder, monkeypatch, bench):
+def test_a_calibration_with_the_prior_of_its_type(empty_folder, monkeypatch, bench, dry_run_of_paper):
     monkeypatch.setenv("TRIAXIAL_BENCH_CATALOGUE", "laboratory.sqlite")
-    assert bench("run", "quick", "--dry-run", "--name", "first", "--seed", "3")[0] == 0
+    shutil.copytree(dry_run_of_paper, "runs/first")
     alone = json.loads(Path("runs/first/calibrate.json").read_text())
     vector = np.array([alone["coefficients"][name]["value"] for name in COEFFICIENTS])
     write_others(alone["unit_under_test"], vector)

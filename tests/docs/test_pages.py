@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration import ESTIMATORS, calibrate
+from bench.batch.work import worked
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 from bench.files.model import load_model
@@ -116,6 +117,14 @@ def wide(monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Batches compute here: processes of their own import the whole program, and have tests of their own."""
+    monkeypatch.setattr(
+        "bench.batch.processes.by_processes", lambda job, runs, count: (worked(job, run) for run in runs)
+    )
+
+
 @pytest.mark.parametrize(
     "page",
     [
@@ -124,7 +133,7 @@ def wide(monkeypatch):
         if p.name not in OF_THEIR_OWN
     ],
 )
-def test_what_a_page_shows_is_what_happens(page, bench, wide):
+def test_what_a_page_shows_is_what_happens(page, bench, wide, in_this_process):
     carried_out(page, bench)
     for written, schema in RESULTS.get(page.name, {}).items():
         keeps_to(schema, json.loads(Path(written).read_text(encoding="utf-8")))

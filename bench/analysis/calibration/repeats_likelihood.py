@@ -4,7 +4,7 @@ Deviations of repeats from the mean of their group have a covariance R = diag(v_
 group. Fisher scoring: information 1/2 tr(R^-1 R_k R^-1 R_l), score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
 closed form (Sherman and Morrison). Whether the channels have one size is asked by the score where they have.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc.
-44 (1948) 50.
+44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for sizes that go to zero.
 """
 
 from __future__ import annotations
@@ -24,6 +24,10 @@ COMMON: Final = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
 LEAST_SETTING: Final = 1e-6
 """Least variance of the setting, as it shows in the signals, as a part of that of the reading."""
+LEAST_CHANNEL: Final = 1e-6
+"""Least variance of a channel as a part of the mean of the three: below it the sums cancel."""
+LEAST_FREEDOM: Final = 4.0
+"""Fewer degrees of freedom of a channel's own size tell little of it: few repeats give it to the setting."""
 ROUNDS: Final = 60
 EQUAL_P: Final = 0.2
 """Channels are of one size where a test of equality gives this or more: a wrong size would be in every u."""
@@ -44,12 +48,16 @@ def sizes_of(
     floor: float | Floats,
     by: Floats = OWN,
     start: Floats | None = None,
+    *,
+    held_up: bool = False,
 ) -> Floats:
     """Return the variances of x, y, z (unit^2) and of the setting (rad^2) of many runs, shape (runs, 4).
 
     `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,), `slope`
     (runs, groups, 3) du/dphi, unit/rad; `floor` (runs,) or one number the least noise believed; `by` one of
     `OWN`, `COMMON`; `start` (runs, 4) where to begin. A run without any slope has a setting error of zero.
+    `held_up` adds the logarithm of the size of each channel to that of the likelihood: as if each had a degree
+    of freedom less, and none goes to zero.
     """
     weight = freedom.astype(np.float64)
     slope2 = _mean_slope2(slope, weight)
@@ -59,12 +67,14 @@ def sizes_of(
         start = np.concatenate([own, _shown(own.mean(axis=1) / 3, slope2)[:, None]], axis=1)
     # the mean of what a parameter stands for
     theta = start @ (by / by.sum(axis=0))
+    least = np.maximum(least, LEAST_CHANNEL * (theta @ by.T)[:, :3].mean(axis=1))
     bottom = np.repeat(least[:, None], theta.shape[1], axis=1)
+    further = 1.0 if held_up else 0.0
     open_rows = np.arange(len(theta))
     for _ in range(ROUNDS):
         at = theta[open_rows]
         bottom[open_rows, -1] = LEAST_SETTING * _shown((at @ by.T)[:, :3].mean(axis=1), slope2[open_rows])
-        moved = _step(scatter[open_rows], weight, slope[open_rows], at, bottom[open_rows], by)
+        moved = _step(scatter[open_rows], weight, slope[open_rows], at, bottom[open_rows], by, further)
         theta[open_rows] = moved
         open_rows = open_rows[(np.abs(moved - at) > AT_REST * at).any(axis=1)]
         if not len(open_rows):
@@ -99,8 +109,8 @@ def believed_sizes(
 
     They are of one size where that is asked for, and where all that is left is the last digit of the replies.
     """
-    variances = sizes_of(scatter, freedom, slope, floor, COMMON)
-    count = len(variances)
+    common = sizes_of(scatter, freedom, slope, floor, COMMON)
+    variances, count = common.copy(), len(common)
     # two of three signals tell of a common size, the third of the setting
     dof = np.full((count, 3), 2.0 * float(freedom.sum()))
     if one_size:
@@ -112,7 +122,26 @@ def believed_sizes(
         at_least = np.broadcast_to(floor, (count,))[own]
         variances[own] = sizes_of(scatter[own], freedom, slope[own], at_least, OWN, variances[own])
         dof[own] = freedom_of(freedom, slope[own], variances[own])[:, :3]
+    few = own[np.min(dof[own], axis=1) < LEAST_FREEDOM]
+    if len(few):
+        of = scatter[few], freedom, slope[few]
+        variances[few], dof[few] = _of_few(*of, np.broadcast_to(floor, (count,))[few], common[few])
     return Sizes(variances, dof, p)
+
+
+def _of_few(
+    scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: Floats, common: Floats
+) -> tuple[Floats, Floats]:
+    """Return variances (runs, 4) and degrees of freedom (runs, 3) where repeats tell a channel's own size poorly.
+
+    The setting error can take all that few repeats of a channel scatter, so that its own size would go to zero
+    and u with it: sizes are held up, and one that is told poorly even then is that of all three at least.
+    """
+    variances = sizes_of(scatter, freedom, slope, floor, OWN, common, held_up=True)
+    dof = freedom_of(freedom, slope, variances)[:, :3]
+    own = variances[:, :3]
+    variances[:, :3] = np.where(dof < LEAST_FREEDOM, np.maximum(own, common[:, :3]), own)
+    return variances, dof
 
 
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
@@ -220,11 +249,18 @@ def _shown(variance: Floats, slope2: Floats) -> Floats:
 
 
 def _step(
-    scatter: Floats, weight: Floats, slope: Floats, theta: Floats, bottom: Floats, by: Floats
+    scatter: Floats,
+    weight: Floats,
+    slope: Floats,
+    theta: Floats,
+    bottom: Floats,
+    by: Floats,
+    further: float,
 ) -> Floats:
     score, information = _score_and_information(scatter, weight, slope, theta @ by.T)
     # relative steps: variances of volts and of angles are many orders apart
     slopes = score @ by * theta
+    slopes[:, :-1] += further
     curvature = by.T @ information @ by * theta[:, :, None] * theta[:, None, :]
     held = (theta <= bottom) & (slopes <= 0.0)
     free = ~held

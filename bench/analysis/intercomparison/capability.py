@@ -18,9 +18,9 @@ from scipy import stats
 from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.intercomparison.crossed import Crossing
-from bench.analysis.intercomparison.drifting import Apart, Within, apart, histories
+from bench.analysis.intercomparison.drifting import Apart, Histories, Within, apart, histories
 from bench.analysis.intercomparison.measured import STANDARD_GRAVITY, Measured, coded
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS
 
@@ -137,13 +137,14 @@ def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
             "last": str(measured.when.max().astype("datetime64[D]")),
             "repeats": crossing.repeated, "units_with_too_few_runs": int(np.sum(of.runs < LEAST_RUNS)),
         },
-        measured.signal, measured.simulated, _notes(found, of.runs, several=several),
+        measured.signal, measured.simulated, _notes(found, of, several=several),
     )  # fmt: skip
     below = np.sum(np.sqrt(measured.variance) < shown.u, axis=0)
     return Capability(**{**shown.__dict__, "below": below.astype(float)})
 
 
-def _notes(found: tuple[Apart, ...], runs: Ints, *, several: bool) -> tuple[str, ...]:
+def _notes(found: tuple[Apart, ...], of: Histories, *, several: bool) -> tuple[str, ...]:
+    runs = of.runs
     few = int(np.sum(runs < LEAST_RUNS))
     notes = []
     if few == len(runs):
@@ -159,6 +160,11 @@ def _notes(found: tuple[Apart, ...], runs: Ints, *, several: bool) -> tuple[str,
                 f"{few} of {len(runs)} units have fewer than {LEAST_RUNS} runs, too few to tell a drift of their "
                 "own: it is taken to be as large as that of the others"
             )
+    if many := int(np.sum(runs > of.longest)):
+        notes.append(
+            f"of {many} units with more than {of.longest} runs so many, evenly over the time, tell scatter and "
+            "drift"
+        )
     if not several:
         notes.append("one bench alone: what another would differ by is not in it")
     return tuple(notes)

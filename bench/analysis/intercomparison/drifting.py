@@ -26,8 +26,10 @@ BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3
 STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
 """A drift of units is taken out where chance gives so much likelihood less often than this."""
-LONGEST: Final = 128
-"""Of a unit with more runs so many, evenly over its history, are taken."""
+LONGEST: Final = (128, 64, 32, 16)
+"""Of a unit with more runs so many, evenly over its history, are taken: the first that is not too much work."""
+MOST_WORK: Final = 5e7
+"""The cubes of runs, over all units: a likelihood then takes about a tenth of a second."""
 ONE_SIDED: Final = 0.5 * 1.6449**2
 """What the logarithm of the likelihood loses at a limit that is kept with 95 %."""
 GONE: Final = 8.0
@@ -55,11 +57,15 @@ class Alike:
 
 @dataclass(frozen=True)
 class Histories:
-    """Who was measured where and when: contrasts within units; `runs` (U,) of each unit, `benches` their number."""
+    """Who was measured where and when: contrasts within units; `runs` (U,) of each unit, `benches` their number.
+
+    Of a unit `longest` runs at the most are taken.
+    """
 
     alike: tuple[Alike, ...]
     runs: Ints
     benches: int
+    longest: int
 
     @property
     def dof(self) -> int:
@@ -72,10 +78,12 @@ def histories(unit: Ints, bench: Ints, years: Floats) -> Histories:
     order = np.lexsort((years, unit))
     runs = np.bincount(unit)
     start = np.cumsum(runs) - runs
+    light = [size for size in LONGEST if np.sum(np.minimum(runs, size).astype(float) ** 3) <= MOST_WORK]
+    longest = light[0] if light else LONGEST[-1]
     benches = int(bench.max()) + 1
     found = []
     for many in np.unique(runs[runs > 1]):
-        kept = np.unique(np.linspace(0, many - 1, min(many, LONGEST)).round().astype(np.int64))
+        kept = np.unique(np.linspace(0, many - 1, min(many, longest)).round().astype(np.int64))
         rows = order[start[runs == many][:, None] + kept]
         n = len(kept)
         contrast = np.linalg.qr(np.eye(n) - 1.0 / n)[0][:, : n - 1].T
@@ -87,7 +95,7 @@ def histories(unit: Ints, bench: Ints, years: Floats) -> Histories:
                 contrast @ np.eye(benches)[bench[rows]],
             )
         )  # fmt: skip
-    return Histories(tuple(found), runs, benches)
+    return Histories(tuple(found), runs, benches, longest)
 
 
 @dataclass(frozen=True)

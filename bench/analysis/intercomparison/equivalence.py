@@ -194,7 +194,8 @@ def _by(of: Participants, dark: float, method: str) -> Equivalence:
     plain = _left(of.covariance, of.Z_unit)
     return Equivalence(
         method, to_reference @ of.y, u_of(u2), degrees @ of.y, covariance, dark,
-        float(of.y @ plain @ of.y), n - of.Z_unit.shape[1], degrees,
+        # values that are all alike leave nothing, and rounding of it
+        max(float(of.y @ plain @ of.y), 0.0), n - of.Z_unit.shape[1], degrees,
     )  # fmt: skip
 
 

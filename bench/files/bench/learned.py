@@ -11,7 +11,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -20,14 +20,13 @@ import yaml
 from pydantic import Field, model_validator
 
 from bench.base.arrays import ARCSEC, Floats
-from bench.base.form_mistakes import Place
 from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated
 from bench.base.units import AngleRad, SizeRad
 from bench.base.whole import write_whole
 from bench.devices.certificates import Day
 from bench.files.formulas import FormulaEntry
-from bench.files.model import EffectEntry, mistakes_with_formulas, written_effects
-from bench.model import CATALOGUE, AppliedEffect, Effect
+from bench.files.model import EffectEntry, WithEffects, written_effects
+from bench.model import AppliedEffect
 
 if TYPE_CHECKING:
     from bench.files.bench.file import BenchFile
@@ -145,7 +144,7 @@ class MetersEntry(FileModel):
         return self
 
 
-class LearnedFile(FileModel):
+class LearnedFile(WithEffects):
     """What runs told of a bench; `sizes`, `contradicting` and `not_identified` are for the reader of the file."""
 
     learned_file: Literal["1"]
@@ -163,20 +162,6 @@ class LearnedFile(FileModel):
     sizes: dict[str, Any] = Field(default_factory=dict)
     contradicting: tuple[str, ...] = ()
     not_identified: tuple[str, ...] = ()
-
-    @classmethod
-    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield the mistakes in the effects and in the formulas that they rest on."""
-        return mistakes_with_formulas(data)
-
-    def own_effects(self) -> tuple[Effect, ...]:
-        """Return the effects of the user's own whose formulas stand in the file."""
-        return tuple(entry.effect() for entry in self.formulas)
-
-    def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects with their values in SI."""
-        with CATALOGUE.also(self.own_effects()):
-            return tuple(entry.applied() for entry in self.effects)
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
         """Whether a record by the head of its chain, or readings by any of their hashes, are behind the file."""

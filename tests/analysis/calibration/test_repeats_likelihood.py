@@ -61,3 +61,19 @@ def test_without_any_noise_the_floor_is_believed():
     scatter, freedom, slope = drawn(34, 2)
     found = sizes_of(scatter * 0.0, freedom, slope, 1e-9, COMMON)
     np.testing.assert_allclose(np.sqrt(found[:, :3]), 1e-9, rtol=1e-3)
+
+
+def test_few_repeats_never_give_a_channel_hardly_any_noise():
+    """Seed 35, 4,000 runs of equal channels: the setting error can take all of x, so that alone x goes to zero.
+
+    A variance of five degrees of freedom is a thousandth of the truth once in 10^7.
+    """
+    scatter, freedom, slope = drawn(35, 4000, np.full(3, 3e-5), groups=4)
+    alone = sizes_of(scatter, freedom, slope, 1e-12, OWN)[:, :3] / 3e-5**2
+    believed = believed_sizes(scatter, freedom, slope, 1e-12)
+    found = believed.variances[:, :3] / 3e-5**2
+    assert np.any(alone < 1e-3)
+    assert np.all(found > 1e-3)
+    told_poorly = ~believed.alike & np.any(believed.dof < 4.0, axis=1)
+    assert np.any(told_poorly)
+    assert np.mean(1.0 / found[told_poorly]) < 2.0  # as with four degrees of freedom, for which u is widened

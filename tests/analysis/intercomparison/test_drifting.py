@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.analysis.intercomparison import drifting
 from bench.analysis.intercomparison.capability import YEAR, capability
 from bench.analysis.intercomparison.crossed import EXCESS, Crossing, fit
 from bench.analysis.intercomparison.drifting import Within, apart, histories
@@ -75,6 +76,21 @@ def of_column(made, k):
     unit, bench = (np.unique(labels, return_inverse=True)[1] for labels in (made.unit, made.bench))
     of = histories(unit, bench, (made.when - made.when[0]) / YEAR)
     return Within(of, made.vector[:, k], made.variance[:, k])
+
+
+def test_of_long_histories_in_a_large_laboratory_a_part_is_taken_and_that_is_said(monkeypatch):
+    made = laboratory(np.random.default_rng(3), 3, 40, 2, (1.0, 0.0, 0.0, 0.5))
+    monkeypatch.setattr(drifting, "MOST_WORK", 3 * 20.0**3)
+    of = drifting.histories(
+        *(np.unique(x, return_inverse=True)[1] for x in (made.unit, made.bench)), np.arange(120.0)
+    )
+    assert (of.longest, of.dof) == (16, 45)
+    for alike in of.alike:
+        # from the first run to the last
+        assert alike.rows[:, 0].tolist() == [0, 40, 80]
+        assert alike.rows[:, -1].tolist() == [39, 79, 119]
+    notes = capability(made).notes
+    assert "of 3 units with more than 16 runs so many, evenly over the time, tell scatter and drift" in notes
 
 
 def test_units_with_too_few_runs_to_tell_their_drift_are_told():
