@@ -310,11 +310,12 @@ def carry_out(
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
-    """Return what says of serial numbers what is to be told of the certificates; None where none is stated.
+    """Return what says of serial numbers what is to be told of the certificates; None where nobody asks for them.
 
-    The serial numbers of simulated instruments are nobody's.
+    The serial numbers of simulated instruments are nobody's. A real run keeps those that answered in any case: by
+    them an instrument is known again when its cables were exchanged.
     """
-    if all(section.certificate is None for section in bench.instruments.all()):
+    if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
     return lambda serials: remarks(bench, None if simulated else serials)
 

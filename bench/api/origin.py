@@ -59,7 +59,7 @@ class BenchOrigin(_Part):
 class Origin(_Part):
     """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well.
 
-    `serials` are the serial numbers that the instruments stated, kept where the bench has certificates. `mended`
+    `serials` are the serial numbers that the instruments stated, kept by real runs and where the bench has certificates. `mended`
     are the mistakes that are put right in these readings, which are a copy of what was recorded then.
     """
 

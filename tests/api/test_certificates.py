@@ -13,11 +13,13 @@ from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import bench_sources
 from bench.analysis.calibration import calibrate as estimate
+from bench.api.execution import _on_certificates
 from bench.api.provenance import provenance
 from bench.api.source import Request, data_sha256, load_sources
 from bench.base.arrays import ARCSEC
+from bench.files.bench.file import load_bench
 from bench.files.bench.traceability import corrections_of
-from bench.files.shipped import find_procedure
+from bench.files.shipped import find_bench, find_procedure
 from bench.procedure.load import load_procedure
 from bench.readings.corrected import corrected
 from bench.readings.csv import write_csv
@@ -239,3 +241,11 @@ def test_an_expired_certificate_is_said_by_check_and_recorded_as_the_run_begins(
     assert set(events[0].data["serials"]) >= {"voltmeter.x", "head"}
     assert "serials" not in next(iter(plain.run.history.events)).data
     assert "certificate" not in {event.type for event in plain.run.history.events}
+
+
+def test_a_real_run_keeps_the_serial_numbers_without_certificates_too():
+    plain = load_bench(find_bench("paper-stand"))
+    assert _on_certificates(plain, simulated=True) is None
+    told = _on_certificates(plain, simulated=False)
+    assert told is not None
+    assert told({"voltmeter.x": "MY1", "head": ""}) == []
