@@ -312,8 +312,7 @@ def _on_certificates(
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
     """Return what says of serial numbers what is to be told of the certificates; None where nobody asks for them.
 
-    The serial numbers of simulated instruments are nobody's. A real run keeps those that answered in any case: by
-    them an instrument is known again when its cables were exchanged.
+    Those of simulated instruments are nobody's; by those of a real run an instrument is known again elsewhere.
     """
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None

@@ -59,8 +59,9 @@ class BenchOrigin(_Part):
 class Origin(_Part):
     """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well.
 
-    `serials` are the serial numbers that the instruments stated, kept by real runs and where the bench has certificates. `mended`
-    are the mistakes that are put right in these readings, which are a copy of what was recorded then.
+    `serials` are the serial numbers that the instruments stated, kept by real runs and where the bench has
+    certificates. `mended` are the mistakes that are put right in these readings, which are a copy of what was
+    recorded then.
     """
 
     simulated: bool

@@ -132,8 +132,8 @@ class EventType(StrEnum):
     """
 
     RUN_STARTED = "run_started"
-    """`step`, the first one; `instruments`, their identities by name; `serials`, in a dry run only where certificates
-    are stated."""
+    """`step`, the first one; `instruments`, their identities by name; `serials`, in a dry run only where it has
+    certificates."""
     RUN_RESUMED = "run_resumed"
     """As of `run_started`."""
     RUN_PAUSED = "run_paused"
