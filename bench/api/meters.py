@@ -28,6 +28,10 @@ NOT_RECORDED: Final = (
     "differences between the voltmeters: no record says which voltmeter read which channel of which block; runs "
     "do, and readings files that 'bench export' wrote from them"
 )
+BY_ADDRESS: Final = (
+    "; no record has their serial numbers, so that a voltmeter at another address passes for another (real runs "
+    "keep them; in a dry run only a bench file with certificates does)"
+)
 NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit}"
 
 
@@ -79,7 +83,9 @@ def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
         return NOT_RECORDED
     kept = exchanged([(source.block_name, meters) for source, meters, _ in known])
     runs = [run for i in kept if (run := _meter_run(*known[i])) is not None]
-    return meter_differences(runs)
+    found = meter_differences(runs)
+    by_address = not any(source.origin.serials for source, _, _ in known if source.origin is not None)
+    return found + BY_ADDRESS if isinstance(found, str) and by_address and len(kept) > 1 else found
 
 
 def _by_channel(source: Source) -> tuple[str, str, str] | None:

@@ -8,14 +8,11 @@ moved or renamed brings the same run, a copy beside it is told and counts once.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -30,6 +27,7 @@ from bench.catalogue.dues import forget_dues
 from bench.catalogue.folder import Found, read_folder
 from bench.catalogue.instruments import Row
 from bench.catalogue.issued import issued_in
+from bench.catalogue.processes import pool_of
 from bench.catalogue.scan import Place, Seen, scan, scan_all
 from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS
 from bench.catalogue.store import Catalogue
@@ -50,6 +48,7 @@ MANY: Final = 20_000
 """Where more folders wait to be looked into, processes of their own look."""
 LOOKED: Final = 5000
 """Folders that such a process is given at once."""
+ENDED: Final = "a process that read run folders was ended; sync again: it goes on where it was"
 _COPY, _COUNTED = "a copy of ", ": counted once"
 MOST_IN: Final = 5000
 """Keys in one condition; SQLite takes 32,766, PostgreSQL 65,535."""
@@ -167,7 +166,7 @@ def _seen(roots: Sequence[str], processes: int) -> Seen:
 def _look_apart(seen: Seen, waiting: list[Place], now_ns: int, processes: int) -> None:
     """Look into many folders by processes, and in this one meanwhile."""
     parts = list(_batches(waiting, LOOKED))
-    with _pool(processes - 1) as pool:
+    with pool_of(processes - 1, ENDED) as pool:
         asked = [pool.submit(scan_all, part, now_ns) for part in parts]
         for part, one in zip(reversed(parts), reversed(asked), strict=True):
             if not one.cancel():
@@ -176,20 +175,6 @@ def _look_apart(seen: Seen, waiting: list[Place], now_ns: int, processes: int) -
         for one in asked:
             if not one.cancelled():
                 seen.take(one.result())
-
-
-@contextmanager
-def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Give processes that read folders. Raises `Refused` where one of them was ended from outside."""
-    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        yield pool
-    except BrokenProcessPool as error:
-        raise Refused(
-            "a process that read run folders was ended; sync again: it goes on where it was"
-        ) from error
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _is_text(path: str) -> bool:
@@ -220,7 +205,7 @@ def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterat
             yield read_folder(path, mark, whole=whole)
         return
     chunks = _batches(waiting, CHUNK)
-    with _pool(processes) as pool:
+    with pool_of(processes, ENDED) as pool:
         running: deque[Future[list[Found]]] = deque(
             pool.submit(_read_chunk, chunk, whole) for chunk in islice(chunks, 4 * processes)
         )

@@ -55,10 +55,17 @@ def sync(
         bool,
         typer.Option("--verify", help="Read every event of each record, not only the hashes of its lines."),
     ] = False,
+    due: Annotated[
+        bool,
+        typer.Option(
+            "--due", help="Then reckon when the units of what changed are due, so that 'due' answers at once."
+        ),
+    ] = False,
     catalogue: CatalogueOption = None,
     json: JsonOption = None,
 ) -> int:
     """Take what is new or changed in run folders into the catalogue; mark what is gone."""
+    from bench.catalogue.dues import due_units
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.sync import sync as synced
 
@@ -66,16 +73,17 @@ def sync(
     on = printing.console(json=json)
     with open_catalogue(catalogue) as opened:
         done = synced(opened, folders, whole=verify)
-        where = opened.where
-    for path, reason in sorted(done.problems.items()):
-        on.print(f"{path}: {reason}")
-    bad = f", {len(done.problems)} with a problem" if done.problems else ""
-    counts = (
-        f"{done.added} new, {done.changed} changed, {done.moved} moved, {done.unchanged} as they were, "
-        f"{done.vanished} gone{bad}"
-    )
-    on.print(f"{where}: {counts}", style="bold")
-    printing.write_json([{"catalogue": where, **done.to_json()}], json)
+        for path, reason in sorted(done.problems.items()):
+            on.print(f"{path}: {reason}")
+        bad = f", {len(done.problems)} with a problem" if done.problems else ""
+        counts = (
+            f"{done.added} new, {done.changed} changed, {done.moved} moved, {done.unchanged} as they were, "
+            f"{done.vanished} gone{bad}"
+        )
+        on.print(f"{opened.where}: {counts}", style="bold")
+        printing.write_json([{"catalogue": opened.where, **done.to_json()}], json)
+        if due:
+            due_units(opened, [])
     return 0
 
 

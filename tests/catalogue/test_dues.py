@@ -95,3 +95,18 @@ def test_a_run_that_comes_while_it_is_reckoned_is_not_lost(catalogue, monkeypatc
     assert counts(catalogue, limit_g=5e-4)[0]["block A 1"] == 3
     # what was reckoned without the new run was not kept
     assert counts(catalogue, limit_g=5e-4)[0]["block A 1"] == 4
+
+
+def test_processes_reckon_the_same(catalogue, monkeypatch):
+    here = due_units(catalogue, [], limit_g=4e-4)
+    monkeypatch.setattr("bench.catalogue.dues.FEW", 0)
+    monkeypatch.setattr("bench.catalogue.dues.METHOD", 0)  # nothing is kept of it
+    assert due_units(catalogue, [], limit_g=4e-4, processes=2) == here
+
+
+def test_after_a_sync_with_due_nobody_waits(catalogue, bench, monkeypatch):
+    status, _, err = bench("catalogue", "sync", "runs", "--due", "--catalogue", "there.sqlite")
+    assert (status, err) == (0, "")
+    monkeypatch.setattr(unit, "due_of", None)
+    rows, odd = due_units(catalogue, [])
+    assert len(rows) + len(odd) == 3

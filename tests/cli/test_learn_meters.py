@@ -106,3 +106,21 @@ def test_learning_anew_is_not_from_what_was_learned(learned, bench):
     assert status == 0, err
     sizes = json.loads(Path("anew.json").read_text(encoding="utf-8"))["sizes"]
     assert abs(sizes["voltmeter_gain[2-1]"]["value"] - TRUE * 1e6) < 4 * sizes["voltmeter_gain[2-1]"]["u"]
+
+
+@pytest.mark.slow
+def test_too_few_runs_say_by_what_the_voltmeters_are_known(bench, empty_folder):
+    """Two runs of one block, seed 31: no serial number stands in their records."""
+    made = of_one_block(np.random.default_rng(31), 2)
+    names = [
+        leave(f"r{k}", table, order, today())
+        for k, (table, order) in enumerate(zip(made.tables(), ("xyz", "yzx"), strict=True))
+    ]
+    status, out, err = bench("learn", *names)
+    assert status == 0, err
+    words = " ".join(out.split())
+    assert "the runs with voltmeters exchanged are too few" in words
+    assert (
+        "no record has their serial numbers, so that a voltmeter at another address passes for another"
+        in words
+    )
