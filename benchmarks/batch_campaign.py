@@ -34,9 +34,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
-os.environ["OPENBLAS_NUM_THREADS"] = (
-    "1"  # as a batch has it: with more, a calibration's last digits are others
-)
+# as a batch has it: with more, a calibration's last digits are others
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numpy as np
 from pyarrow import parquet
 

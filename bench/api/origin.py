@@ -18,11 +18,10 @@ from bench.base.visible import visible
 from bench.base.whole import to_text
 from bench.run.folder import BENCH, IMPORTED, Run
 from bench.run.manifest import sha256
+from bench.run.same_serial import NO_SERIAL
 
 FORMAT: Final = 1
 SUFFIX: Final = ".json"
-NO_SERIAL: Final = frozenset({"", "0", "-"})
-"""What instruments answer that have no serial number."""
 
 
 def _printable(text: str) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bench.api.origin import NO_SERIAL, instrument_name
+from bench.api.origin import instrument_name
 from bench.catalogue.schema import key_of
 from bench.files.bench.file import BenchFile
+from bench.run.same_serial import NO_SERIAL
 
 Row = dict[str, Any]
 

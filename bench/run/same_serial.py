@@ -9,7 +9,7 @@ from typing import Final
 from bench.run.prompts import agree
 from drivers.interfaces import Identity, Person, Prompt, PromptKind
 
-NO_SERIAL: Final = frozenset({"", "0"})
+NO_SERIAL: Final = frozenset({"", "0", "-"})
 """What an instrument says that states none: a 34401A answers 0, whichever it is."""
 
 
