@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.candidates import SLIP, Candidates
 from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem
@@ -131,20 +131,25 @@ def _instead(looked: Looked, naming: Naming, noise: float) -> tuple[SlowNoise, .
 
     It is that of the channels in which it shows by itself. Where that explains less, what was found must reach the
     threshold beside slow noise of all channels, too, whatever its size: a name that hardly does without, and what
-    has none. A slip alone has a threshold of its own.
+    has none. A slip that reaches the threshold of slips is there by that.
     """
     sure = slow_noise(looked.linear, looked.whitened, Scored.beside(looked.whitened, looked.data, ()).ratio)
     if sure and sum(one.odds for one in sure) >= sum(found.evidence for found in naming.found):
         return sure
     limit, strongest = looked.limit.value, max((found.total for found in naming.found), default=-np.inf)
     named = all(found.variant.named for found in naming.found)
-    if strongest < limit or (named and strongest > limit + HARDLY):
+    if strongest < limit or (named and strongest > limit + HARDLY) or _slipped(looked.limit, naming):
         return ()
     plausible = BESIDE_NAMES if named else 1.0
     beside = beside_all_sizes(looked.linear, looked.whitened, noise, plausible)
     if beside is None or beside.total >= limit:
         return ()
     return sure or beside.slow
+
+
+def _slipped(limit: Threshold, naming: Naming) -> bool:
+    """Whether a slip was found that reaches the threshold of slips."""
+    return any(found.variant.family == SLIP and limit.by_slip(found.of_slip) for found in naming.found)
 
 
 def in_the_noise_of(looked: LinearSystem, weighed: WeighedDown | None, linear: LinearSystem) -> LinearSystem:
