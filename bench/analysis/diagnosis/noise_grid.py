@@ -65,6 +65,15 @@ class Whitener:
             weighed[rows] = factor.T @ white[rows]
         return weighed
 
+    @property
+    def diagonal(self) -> Floats:
+        """Of the map that `weigh` is, shape (N,)."""
+        diagonal = np.empty(len(self.basis))
+        for rows, factor in self.blocks:
+            fitted = factor.T @ self.basis[rows]
+            diagonal[rows] = np.sum(factor**2, axis=0) - fitted**2 @ (1.0 - self.kept**2)
+        return diagonal
+
     def _half(self, columns: Floats) -> Floats:
         white = np.empty_like(columns, dtype=np.float64)
         for rows, factor in self.blocks:
@@ -121,7 +130,7 @@ def make_noise_grid(
     slope2 = np.bincount(linear.setting[oriented], scaled2, linear.settings).astype(np.float64)
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
-    wide = np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear)
+    wide = _wide(linear)
     blocks = _blocks(linear, wide)
     whites, log_dets = zip(
         *(_white(linear, ratio / typical, sigma, wide, blocks) for ratio in ratios), strict=True
@@ -138,6 +147,17 @@ def make_noise_grid(
         len(linear) - linear.fixed.shape[1] - (0 if linear.by_run is None else len(linear.by_run.sizes) - 1)
     )
     return NoiseGrid(tuple(whites), np.array(log_dets), log_prior, grid / typical, sigma, freedom)
+
+
+def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
+    """Return the map for noise of a reading (unit of the signal) and a setting error (rad) of these very sizes."""
+    wide = _wide(linear)
+    return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide))[0]
+
+
+def _wide(linear: LinearSystem) -> Mask:
+    """Return which of the random columns reach further than a block may."""
+    return np.asarray(np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear))
 
 
 def _blocks(linear: LinearSystem, wide: Mask) -> tuple[Ints, ...]:
