@@ -19,7 +19,7 @@ from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Condition
 WIDE_G: Final = 5e-3
 """Prior 1 sigma of a free value of a point, or of a slow change, in g: more than any effect makes."""
 WIDE_RAD: Final = np.radians(0.1)
-"""Prior 1 sigma of a zero of the head in each pass."""
+"""Prior 1 sigma of a turn of the block, about any axis, in each pass."""
 COEFFICIENTS_WIDE: Final = 10.0
 """Prior 1 sigma of the coefficients about the first guess, in scale factors: none in effect."""
 FIRST: Final = 3
@@ -124,7 +124,7 @@ def descriptions(problem: Problem, block: Block) -> Descriptions:
     scale = np.linalg.norm(block.K, axis=1)
     stand = linear.jacobian[:, :, FIXED:] * problem.prior_u
     model = [linear.jacobian[:, :, :FIXED] * (COEFFICIENTS_WIDE * scale.max()), stand]
-    slow = _slow(problem.conditions, linear.predicted - block.U0, linear.slope, scale)
+    slow = _slow(problem.conditions, linear.predicted - block.U0, block, scale)
     first = _per_channel(_first(problem.conditions), FIRST_G * scale)
 
     def described(*columns: Floats) -> Description:
@@ -164,25 +164,41 @@ def _first(conditions: Conditions) -> NDArray[np.bool_]:
     return np.asarray(np.arange(len(conditions))[:, None] == rows[rows < len(conditions)])
 
 
-def _slow(conditions: Conditions, deflection: Floats, slope: Floats, scale: Floats) -> list[Floats]:
-    """Columns of what changes with time, temperature and from pass to pass."""
+def turns(conditions: Conditions) -> Ints:
+    """Return a number per reading (n,): same mounting, same pass."""
+    key = np.stack([conditions.mount, conditions.pass_number], axis=1)
+    return np.unique(key, axis=0, return_inverse=True)[1].ravel()
+
+
+def _slow(conditions: Conditions, deflection: Floats, block: Block, scale: Floats) -> list[Floats]:
+    """Columns of what changes with time, temperature and from pass to pass.
+
+    From pass to pass a voltmeter may be another one, and the block may have slipped.
+    """
     time = conditions.elapsed_s - conditions.elapsed_s.min()
     relaxed = [np.exp(-time / tau) for tau in RELAXATION_S]
     time = time / max(float(time.max()), 1e-300)
     along = [time, *relaxed]
-    key = np.stack([conditions.mount, conditions.pass_number], axis=1)
-    _, turn = np.unique(key, axis=0, return_inverse=True)
-    turns = turn.ravel()[:, None] == np.unique(turn)
+    turn = turns(conditions)
+    of_turn = turn[:, None] == np.unique(turn)
     factors = [time]
     if np.ptp(conditions.warmth_k) > 0:
         warmth = conditions.warmth_k / float(np.max(np.abs(conditions.warmth_k)))
         along.append(warmth)
         factors.append(warmth)
     return [
-        _per_channel(np.column_stack([*along, turns]), WIDE_G * scale),
+        _per_channel(np.column_stack([*along, of_turn]), WIDE_G * scale),
         *(np.einsum("ni,ij->nij", factor[:, None] * deflection, WIDE_G * np.eye(3)) for factor in factors),
-        slope[:, :, None] * turns[:, None, :] * WIDE_RAD,
+        *(np.einsum("ni,ij->nij", one[:, None] * deflection, WIDE_G * np.eye(3)) for one in of_turn.T),
+        *(column * of_turn[:, None, :] * WIDE_RAD for column in _turned(deflection, block)),
     ]
+
+
+def _turned(deflection: Floats, block: Block) -> Iterator[Floats]:
+    """Yield what small turns of the block about each of its own axes do to signals, per rad, (n, 3, 1)."""
+    force = deflection @ np.linalg.inv(block.K).T
+    for axis in np.eye(3):
+        yield (np.cross(force, axis) @ block.K.T)[:, :, None]
 
 
 def _per_channel(columns: Floats | NDArray[np.bool_], size: Floats) -> Floats:

@@ -32,6 +32,7 @@ from bench.analysis.mistakes.describing import (
     examine,
     expected_chi2,
     finish,
+    turns,
     weigh,
 )
 from bench.analysis.mistakes.tails import BEYOND_TAILS, odds_of_tails
@@ -108,12 +109,18 @@ def find_single(
     judged = _significant(situation, described.ladder[level], examined, significance / looks)
     slips = _slips(problem, block)
     first = problem.conditions.remounted
+    turn = turns(problem.conditions)
     found = []
     for row in judged.strange:
         mistake = _classify(situation, judged, row, slips, looks)
         others = [r for r in judged.strange if r != row]
         held = ladder.freer(level, mistake, bool(first[row]))
         freer = [weigh(description, situation, judged.noise).without(others) for description in held]
+        elsewhere = [r for r in others if turn[r] != turn[row]]
+        if len(elsewhere) < len(others):
+            # a block that slipped is off in several readings of a pass, which then explain each other
+            slipped = weigh(described.ladder[-1], situation, judged.noise)
+            freer.append(slipped.without(elsewhere))
         if all(float(np.max(_studentised(p, situation, judged.noise, row))) > STANDS_OUT for p in freer):
             found.append(mistake)
     near = [m for m in found if m.off_rad is None and _in_readings(m, judged.noise) < BEYOND_TAILS]
