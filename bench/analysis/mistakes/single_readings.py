@@ -120,7 +120,8 @@ def find_single(
     near = [m for m in found if m.off_rad is None and _in_readings(m, judged.noise) < BEYOND_TAILS]
     if near and _tailed(situation, judged, near):
         found = [m for m in found if m not in near]
-    return sorted(_alone(found), key=lambda m: -m.sigma), looks
+    turned = level + 1 == len(described.ladder)
+    return sorted(_alone(found, turned=turned), key=lambda m: -m.sigma), looks
 
 
 def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
@@ -146,12 +147,16 @@ def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:
     return np.asarray(pull @ ways / np.sqrt(np.maximum(variance, 1e-300)))
 
 
-def _alone(found: Sequence[SingleMistake]) -> list[SingleMistake]:
-    """Leave out outliers that go on from one reading to the next: those of a change, not of a mistake."""
+def _alone(found: Sequence[SingleMistake], *, turned: bool) -> list[SingleMistake]:
+    """Leave out outliers that go on from one reading to the next: those of a change, not of a mistake.
+
+    Beside passes with a slip each (`turned`), whatever their sign: the block slipped within one of them.
+    """
 
     def goes_on(one: SingleMistake, other: SingleMistake) -> bool:
         common = ["xyz".index(channel) for channel in one.channels if channel in other.channels]
-        return abs(one.row - other.row) == 1 and any(one.shift[i] * other.shift[i] > 0 for i in common)
+        alike = any(turned or one.shift[i] * other.shift[i] > 0 for i in common)
+        return abs(one.row - other.row) == 1 and alike
 
     return [m for m in found if m.off_rad is not None or not any(goes_on(m, other) for other in found)]
 
