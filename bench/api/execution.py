@@ -14,6 +14,7 @@ from typing import Final
 
 from rich.console import Console
 
+from bench.api.checked_before import checked_before
 from bench.api.errors import Refused
 from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
@@ -152,8 +153,6 @@ def new_run(
     notes = _other_unit(stated.serial, serial, file.name)
     notes += noted_goals(manifest, plan, file, until)
     if check_block or despite_check is not None or (file.check_block is not None and not dry_run):
-        from bench.api.checked_before import checked_before  # brings all that charts need: a second
-
         notes += checked_before(manifest, file, bench_file_path, runs, despite_check)
     return NewRun(runs / name, manifest, inputs, notes)
 
