@@ -211,33 +211,38 @@ def _per_channel(columns: Floats | NDArray[np.bool_], size: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Precision:
-    """Whitened readings y (3n,) and the inverse P (3n, 3n) of their covariance, `pull` = P y.
+    """Whitened readings y (3n,) and the inverse P = I - B B^T of their covariance by its `basis` B (3n, k).
 
-    Of a reading that is left out rows and columns are zero. The block of P of a reading, inverted, is the
-    covariance of its difference from what all the others let expect, which is that inverse times its pull.
+    `pull` = P y. Of a reading that is left out rows and columns of P are zero. The block of P of a reading,
+    inverted, is the covariance of its difference from what all the others let expect, which is that inverse times
+    its pull.
     """
 
     whitened: Floats
-    matrix: Floats
+    basis: Floats
     pull: Floats
 
     def without(self, rows: Sequence[int]) -> Precision:
         """Leave readings out."""
-        matrix, pull = self.matrix, self.pull
+        basis, pull = self.basis, self.pull
         for row in rows:
             own = slice(3 * row, 3 * row + 3)
-            weights = matrix[:, own] @ np.linalg.inv(matrix[own, own])
-            pull = pull - weights @ pull[own]
-            matrix = matrix - weights @ matrix[own]
-            matrix[own], matrix[:, own], pull[own] = 0.0, 0.0, 0.0
-        return Precision(self.whitened, matrix, pull)
+            columns = -basis @ basis[own].T
+            columns[own] += np.eye(3)
+            size, vectors = np.linalg.eigh(columns[own])
+            # of a reading that has a free value of its own nothing is left but rounding
+            inverse = vectors / np.sqrt(np.maximum(size, np.finfo(float).eps))
+            taken = columns @ inverse
+            pull = pull - taken @ (inverse.T @ pull[own])
+            basis = np.column_stack([basis, taken])
+            pull[own] = 0.0
+        return Precision(self.whitened, basis, pull)
 
     @property
     def blocks(self) -> Floats:
         """The blocks of P of each reading, (n, 3, 3)."""
-        n = len(self.pull) // 3
-        at = np.arange(n)
-        return self.matrix.reshape(n, 3, n, 3)[at, :, at, :]
+        of_reading = self.basis.reshape(len(self.pull) // 3, 3, -1)
+        return np.asarray(np.eye(3) - of_reading @ np.swapaxes(of_reading, 1, 2))
 
     @property
     def pulls(self) -> Floats:
@@ -267,9 +272,10 @@ def expected_chi2(
     precision: Precision, description: Description, situation: Situation, noise: Noise
 ) -> float:
     """Return the expectation of the misfit where stand errors, but none of the free values, are there."""
-    matrix = precision.matrix
-    stand = whiten(description.stand, situation.slope, noise).reshape(len(matrix), -1)
-    return float(np.trace(matrix) + np.einsum("kq,kq->", stand, matrix @ stand))
+    basis = precision.basis
+    stand = whiten(description.stand, situation.slope, noise).reshape(len(basis), -1)
+    trace = len(basis) - float(np.sum(basis**2))
+    return trace + float(np.sum(stand**2)) - float(np.sum((basis.T @ stand) ** 2))
 
 
 def examine(description: Description, situation: Situation, start: Noise | None, most: int) -> Examination:
@@ -308,8 +314,8 @@ def weigh(description: Description, situation: Situation, noise: Noise) -> Preci
     y = whiten(situation.left[:, :, None], situation.slope, noise).ravel()
     size, p = len(y), columns.shape[2]
     q, _ = np.linalg.qr(np.vstack([columns.reshape(size, p), np.eye(p)]))
-    matrix = np.eye(size) - q[:size] @ q[:size].T
-    return Precision(y, matrix, matrix @ y)
+    basis = q[:size]
+    return Precision(y, basis, y - basis @ (basis.T @ y))
 
 
 def _strange(precision: Precision, most: int) -> tuple[int, ...]:
