@@ -347,7 +347,7 @@ def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], No
     with drawn(name, inches, draw) as figure:
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         # not savefig: it draws all once more beforehand, and the file is the same
-        FigureCanvasSVG(figure).print_svg(text, metadata=nothing)
+        FigureCanvasSVG(figure).print_svg(text, metadata=nothing)  # type: ignore[no-untyped-call]
     return text.getvalue()
 
 
