@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 STAMP := $(VENV)/.installed
+# Without its bytecode each test process would compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 
 .PHONY: dry-run test test-quick test-browser coverage mutation lint hooks docs blind-trial clean

@@ -69,6 +69,7 @@ class Hands:
         self.asked = OpenPrompt()
         self.done: Counter[str] = Counter()
         self.questions = 0
+        self.finished = False
         self._place = 0
         self._seen, self._acted_s = "", 0.0
         self._ids: list[str] = []
@@ -97,7 +98,9 @@ class Hands:
                 if not line.endswith(b"\n"):
                     break
                 self._place += len(line)
-                self.asked.take(parse_line(line)[0])
+                event = parse_line(line)[0]
+                self.asked.take(event)
+                self.finished |= event.type == "run_finished"
 
     def _act(self, prompt: Prompt) -> None:
         text = answer_to(prompt)
@@ -154,7 +157,8 @@ def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False)
         last = kills <= 0
         questions, late_s = rng.randrange(0, 14), rng.choice((0.0, rng.uniform(0.0, 0.3)))
         try:
-            while process.poll() is None and time.monotonic() < deadline_s:
+            # what is drawn from a finished run, which takes longest, asks nothing
+            while process.poll() is None and not hands.finished and time.monotonic() < deadline_s:
                 hands.look()
                 if not last and hands.questions > questions:
                     time.sleep(late_s)

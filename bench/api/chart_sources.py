@@ -9,10 +9,10 @@ from pathlib import Path
 
 from bench.api.check_block import CheckBlockChart, chart_of, check_block_runs, is_check_block
 from bench.api.errors import Refused
-from bench.api.taken import find_bench_file
+from bench.api.taken import find_bench_file, own_bench
 from bench.files.bench.check_block import CheckBlockSection
-from bench.files.bench.file import BenchFile, load_recorded_bench
-from bench.run.folder import BENCH, Run, all_runs, find_run
+from bench.files.bench.file import BenchFile
+from bench.run.folder import Run, all_runs, find_run
 from bench.run.manifest import MANIFEST, RecordError
 
 
@@ -61,12 +61,6 @@ def _bench_file(bench: str | None, run: Run) -> tuple[BenchFile, Path]:
         taken = find_bench_file(bench)
         return taken.file, Path(taken.where)
     return own_bench(run)
-
-
-def own_bench(run: Run) -> tuple[BenchFile, Path]:
-    """Return the bench file that a run recorded, and where it was: a reference is named from there."""
-    stated = Path(str(run.manifest.get("bench", "")))
-    return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH
 
 
 def _in_folder(folder: Path, bench: str | None, real: bool | None) -> ChartedRuns:

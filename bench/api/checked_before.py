@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from bench.api.check_block import CheckBlockChart, chart_of, check_block_runs, is_check_block
 from bench.api.errors import Refused
 from bench.base.words import duration
 from bench.files.bench.check_block import CheckBlockSection
@@ -15,6 +14,9 @@ from bench.files.bench.file import BenchFile
 from bench.run.folder import Run
 from bench.run.manifest import CheckedBefore, Manifest
 from drivers.clock import utc_now
+
+if TYPE_CHECKING:
+    from bench.api.check_block import CheckBlockChart
 
 HOUR_S: Final = 3600.0
 IN_CONTROL: Final = "in control"
@@ -50,6 +52,11 @@ class CheckBefore:
 
 def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
     """Return what the last run of the check block says, now. Raises `Refused` where its chart cannot be made."""
+    from bench.api.check_block import (
+        chart_of,
+        check_block_runs,
+    )  # with all that charts need: most runs have none
+
     section = bench.check_block
     if section is None:
         raise Refused(f"{path}: states no check_block; add it, or leave the check out")
@@ -107,6 +114,8 @@ def checked_before(
         )
     if despite is not None and (not despite.strip() or not despite.isprintable()):
         raise Refused("--despite-check: say in words why the run is begun all the same; the record keeps it")
+    from bench.api.check_block import is_check_block
+
     if is_check_block(bench, manifest["unit_under_test"]):
         return ("this is a run of the check block: its chart follows it",)
     rule = bench.check_block.rule

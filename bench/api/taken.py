@@ -135,3 +135,9 @@ def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[
     recorded = load_recorded_bench(path)
     chosen = run.manifest.get("bench_why", "")
     return BenchTaken(recorded, str(path), recorded_sha256(run), "as the run recorded it", chosen), ()
+
+
+def own_bench(run: Run) -> tuple[BenchFile, Path]:
+    """Return the bench file that a run recorded, and where it was: a reference is named from there."""
+    stated = Path(str(run.manifest.get("bench", "")))
+    return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

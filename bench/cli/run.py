@@ -156,14 +156,17 @@ def charted(run: Run, out: Console) -> int:
 
     Of any other run there is nothing to say. Where no chart can be made, that is said: the run is finished.
     """
-    from bench.api.chart_sources import own_bench
+    from bench.api.taken import own_bench
+
+    bench, path = own_bench(run)
+    unit = run.manifest.get("unit_under_test")
+    if bench.check_block is None or unit is None:
+        return 0
     from bench.api.check_block import chart_of, check_block_runs, is_check_block
     from bench.base.whole import to_text
     from bench.cli.chart import print_chart
 
-    bench, path = own_bench(run)
-    unit = run.manifest.get("unit_under_test")
-    if bench.check_block is None or unit is None or not is_check_block(bench, unit):
+    if not is_check_block(bench, unit):
         return 0
     runs = check_block_runs(bench, run.folder.parent, simulated=run.simulated)
     try:

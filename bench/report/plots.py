@@ -341,10 +341,13 @@ def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], No
 
 
 def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     text = io.StringIO()
     with drawn(name, inches, draw) as figure:
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-        figure.savefig(text, format="svg", metadata=nothing)
+        # not savefig: it draws all once more beforehand, and the file is the same
+        FigureCanvasSVG(figure).print_svg(text, metadata=nothing)  # type: ignore[no-untyped-call]
     return text.getvalue()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -15,6 +16,12 @@ def page(name: str, **content: Any) -> str:
 
     What a page does not give to it is an error. All is escaped, and no character in it acts unseen.
     """
+    return visible(_templates().get_template(name).render(**content))
+
+
+@cache
+def _templates() -> Environment:
+    """Return the templates, which compiles each of them once a program."""
     environment = Environment(
         loader=PackageLoader("bench.report", "templates"),
         autoescape=True,
@@ -23,4 +30,4 @@ def page(name: str, **content: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = typeset
-    return visible(environment.get_template(name).render(**content))
+    return environment

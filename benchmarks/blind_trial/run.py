@@ -4,6 +4,7 @@
     python -m benchmarks.blind_trial --seed 7 --workers 2 --json score.json --ledger ledger.jsonl
     python -m benchmarks.blind_trial --seed 7 --page
     python -m benchmarks.blind_trial --seed 7 --page --share 0.1      # every row, a tenth of its cases
+    python -m benchmarks.blind_trial --seed 7 --page --keep trial.txt # goes on there when called again
 
 Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed; only then are
 the answers opened, checked against their seals, and the score printed as markdown, each share with the
@@ -24,6 +25,7 @@ from typing import Final
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case, seal
 from benchmarks.blind_trial.free_positions import DESIGN, NOISE_G
+from benchmarks.blind_trial.kept import Kept
 from benchmarks.blind_trial.known import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPAIRED
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.noises import NOISES
@@ -142,6 +144,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--page", action="store_true", help="write docs/blind-trial.json and docs/diagnosis.md"
     )
+    parser.add_argument(
+        "--keep", type=Path, metavar="FILE", help="keep diagnoses here; called again, go on where it stopped"
+    )
     parser.add_argument("--ledger", type=Path, metavar="FILE", help="append the seals of the cases here")
     given = parser.parse_args(argv)
     if not 0.0 < given.share <= 1.0:
@@ -217,23 +222,36 @@ def _as_json(outcomes: Sequence[Outcome], shares: dict[str, dict[str, Share]], s
     return json.dumps({"seed": seed, "score": score, "cases": cases}, indent=1)
 
 
+def _diagnosed(tasks: Sequence[Task], diagnose: Diagnose, workers: int, kept: Kept | None) -> list[Outcome]:
+    """Return the outcomes of tasks in their order, what was kept as it is."""
+    done = {task: outcome for task in tasks if kept is not None and (outcome := kept.outcome(task))}
+    todo = [task for task in tasks if task not in done]
+    for number, outcome in enumerate(run_trial(todo, diagnose, workers), start=len(done) + 1):
+        done[outcome.task] = outcome
+        if kept is not None:
+            kept.keep(outcome)
+        if number % 200 == 0:
+            print(f"{number}/{len(tasks)}", file=sys.stderr, flush=True)
+    return [done[task] for task in tasks]
+
+
 def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) -> int:
     """Run the trial; return the exit status."""
     given = _arguments(argv)
     rows = _rows(given)
     tasks = [Task(given.seed, row, index) for row in rows for index in range(row.count)]
     start = time.perf_counter()
-    outcomes: list[Outcome] = []
-    for outcome in run_trial(tasks, diagnose, given.workers):
-        outcomes.append(outcome)
-        if len(outcomes) % 200 == 0:
-            print(f"{len(outcomes)}/{len(tasks)}", file=sys.stderr, flush=True)
+    try:
+        kept = None if given.keep is None else Kept(given.keep, given.seed)
+    except ValueError as error:
+        raise SystemExit(str(error)) from error
+    outcomes = _diagnosed(tasks, diagnose, given.workers, kept)
     if given.ledger:
         with given.ledger.open("a", encoding="utf-8") as ledger:
             ledger.writelines(json.dumps(outcome.seal) + "\n" for outcome in outcomes)
     shares = tally(rows, _open_answers(outcomes, given.ties))
     report = sys.stderr if given.json == "-" else sys.stdout
-    seconds = round(time.perf_counter() - start)
+    seconds = round(time.perf_counter() - start if kept is None else kept.seconds)
     result = stored(rows, shares, outcomes, _made(given, seconds))
     print(tables(result), file=report)
     print("\n" + "\n".join(sums(result)), file=report)

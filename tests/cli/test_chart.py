@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from bench.api import check_block, checked_before
+from bench.api import check_block
 from bench.api.check_block import chart_of, check_block_runs
 from bench.api.checked_before import check_before
 from bench.api.errors import Refused
@@ -80,7 +80,7 @@ def test_a_run_that_was_out_of_control_is_no_part_of_the_baseline(there):
 def test_what_the_check_says_of_a_run(there, monkeypatch):
     def said(count: int, hours: float):
         runs = check_block_runs(there, Path("runs"), simulated=True)[:count]
-        monkeypatch.setattr(checked_before, "check_block_runs", lambda *_, **__: runs)
+        monkeypatch.setattr(check_block, "check_block_runs", lambda *_, **__: runs)
         when = datetime.fromisoformat(runs[-1].created) if runs else datetime.now(UTC)
         return check_before(
             there, Path("my.yaml"), Path("runs"), when + timedelta(hours=hours), simulated=True

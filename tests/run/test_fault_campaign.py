@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from benchmarks.fault_trials import Outcome, Stand
 
 SEED = 20261121
-FAULTS = 40
+FAULTS = 24
 SHORT, PATIENT = "0.3 s", "3 s"
 """A reply that a busy machine delays is one fault more in a campaign; beside a single fault there is none."""
 NEVER_S = 120.0

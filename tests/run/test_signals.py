@@ -84,7 +84,7 @@ def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path, number):
 @pytest.mark.slow
 def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
     """Two SIGKILLs, each while the run is under way; the readings are those of an undisturbed run."""
-    (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 8"))
+    (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 4"))
     command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
 
     def begin(*arguments):
@@ -100,7 +100,7 @@ def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
         return events.exists() and events.stat().st_size > size
 
     process = begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "hit")
-    for size in (20_000, 60_000):
+    for size in (12_000, 30_000):
         wait_for(partial(grown, size), process)
         process.kill()
         process.wait(timeout=PATIENCE_S)

@@ -24,12 +24,15 @@ from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
 from drivers.interfaces import VoltmeterSettings
+from drivers.wire.visa import MessageSession
 from sim.bench import SimulatedBench, SimulatedMeter
 from sim.world.clock import VirtualClock
 from sim.world.operator import ScriptedOperator
 from sim.world.world import World
 
 SEED = 1
+SILENCE_S = 0.05
+"""How long one is waited for that says nothing, s of real time."""
 
 
 def known(role: Role | None = None, *, wired: bool = True) -> list[Device]:
@@ -121,14 +124,22 @@ def written_bench(device: Device, folder: Path, **changes: Any) -> Path:
 
 @dataclass
 class Stand:
-    """The bench of a device: its driver, what stands for it on the wire, the world, what was sent to it."""
+    """The bench of a device: its driver and wire, what stands for it there, the world, what was sent to it."""
 
     device: Device
     bench: BenchFile
     world: World
     driver: Any
+    session: MessageSession
     dialect: Any
     sent: list[str]
+
+    @contextmanager
+    def expecting_nothing(self) -> Iterator[None]:
+        """Wait but shortly for replies; a silence ends it."""
+        patience_s, self.session.timeout_s = self.session.timeout_s, SILENCE_S
+        yield
+        self.session.timeout_s = patience_s
 
     @property
     def section(self) -> Any:
@@ -171,6 +182,6 @@ def standing(
         instruments = instruments_of(bench, given)
         driver = next(instrument for instrument in instruments.all() if instrument.name == name)
         try:
-            yield Stand(device, bench, world, driver, served.dialects[name], sent)
+            yield Stand(device, bench, world, driver, given.sessions[name], served.dialects[name], sent)
         finally:
             driver.close()

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, HasCovariance, u_of
@@ -30,8 +30,8 @@ def coverage_factor(dof: ArrayLike, probability: float = COVERAGE) -> Floats:
     """
     require_probability(probability)
     nu = np.asarray(dof, dtype=np.float64)
-    finite = stats.t.ppf(0.5 * (1.0 + probability), np.where(np.isinf(nu), 1.0, nu))
-    normal = stats.norm.ppf(0.5 * (1.0 + probability))
+    finite = special.stdtrit(np.where(np.isinf(nu), 1.0, nu), 0.5 * (1.0 + probability))
+    normal = special.ndtri(0.5 * (1.0 + probability))
     return np.asarray(np.where(np.isinf(nu), normal, finite), dtype=np.float64)
 
 
@@ -80,8 +80,8 @@ class Propagated(HasCovariance):
         """
         m, nu = len(self.value), float(np.min(self.dof))
         if np.isinf(nu):
-            return float(np.sqrt(stats.chi2.ppf(probability, m)))
-        return float(np.sqrt(m * stats.f.ppf(probability, m, nu)))
+            return float(np.sqrt(2.0 * special.gammaincinv(0.5 * m, probability)))
+        return float(np.sqrt(m * special.fdtri(m, nu, probability)))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
 
 from bench.analysis.calibration.repeats_likelihood import believed_sizes
 from bench.analysis.calibration.result import Noise
@@ -205,6 +204,8 @@ def noise_from_residuals(
     low = np.log([max(floor, LEAST_PART * guess), LEAST_SETTING * guess / steepness])
     high = np.log([MOST_PART * guess, MOST_PART * guess / steepness])
     bounds = list(zip(low.tolist(), high.tolist(), strict=True))
+    from scipy.optimize import minimize
+
     found = minimize(minus_two_log_likelihood, start, method="L-BFGS-B", jac=True, bounds=bounds)
     reading, setting = np.exp(found.x)
     limits = setting_limits(float(reading), float(setting), float(np.mean(length**2)), freedom / 3)

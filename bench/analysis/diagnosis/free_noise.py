@@ -10,7 +10,7 @@ from scipy import stats
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.diagnosis.free_records import FreeRows
-from bench.analysis.diagnosis.noise_grid import NoiseGrid, Whitener
+from bench.analysis.diagnosis.noise_grid import NoiseGrid, Span, Whitener
 from bench.base.arrays import Floats, Ints, Mask
 
 OUTLIER: Final = 1e-4
@@ -33,7 +33,7 @@ def grid_of(rows: FreeRows, sigma: float, kept: Mask | None = None) -> NoiseGrid
     basis = basis[:, size > 1e-10 * size[0]]
     parts = np.array_split(np.arange(len(basis)), max(len(basis) // AT_ONCE, 1))
     each = tuple((part, np.eye(len(part))) for part in parts)
-    white = Whitener(each, basis, np.zeros(basis.shape[1]))
+    white = Whitener(each, (Span(slice(None), basis, np.zeros(basis.shape[1])),))
     return NoiseGrid((white,), np.zeros(1), np.zeros(1), np.zeros(1), sigma, len(basis) - basis.shape[1])
 
 

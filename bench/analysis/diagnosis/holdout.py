@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.coupled import coupled
 from bench.analysis.diagnosis.evidence import Search, Whitened
 from bench.analysis.diagnosis.gap import BLIND, LEAST_FALL, NOT_THERE, OWN_VALUE, Fold, Gap, HeldOut
 from bench.analysis.diagnosis.linear import MODULUS, LinearSystem, Rows
@@ -93,8 +94,11 @@ def determined(linear: LinearSystem, rows: Mask) -> bool:
     fixed = linear.fixed[rows] / np.linalg.norm(linear.fixed, axis=0)
     if len(fixed) <= fixed.shape[1]:
         return False
-    sizes = np.linalg.svd(fixed, compute_uv=False)
-    return bool(sizes[-1] > DETERMINED * sizes[0])
+    parts = [fixed[np.ix_(*part)] for part in coupled(fixed)]
+    if any(len(part) < part.shape[1] for part in parts):
+        return False
+    sizes = np.concatenate([np.linalg.svd(part, compute_uv=False) for part in parts])
+    return bool(sizes.min() > DETERMINED * sizes.max())
 
 
 def _fold(

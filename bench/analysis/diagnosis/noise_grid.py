@@ -20,6 +20,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from bench.analysis.diagnosis.coupled import coupled
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.base.arrays import Floats, Ints, Mask
 
@@ -37,33 +38,63 @@ ROUNDING: Final = 1e-12
 
 
 @dataclass(frozen=True)
+class Span:
+    """What is fitted in some of the rows: an orthonormal `basis` (n, k), and what of it a prior leaves in.
+
+    `kept` (k,) is zero for the coefficients, which have none.
+    """
+
+    rows: slice | Ints
+    basis: Floats
+    kept: Floats
+
+    def leave(self, white: Floats, taken: Floats) -> None:
+        """Take the part `taken` (k,) of what is fitted out of columns (N, …), in place."""
+        inside: Floats = self.basis.T @ white[self.rows]
+        white[self.rows] -= self.basis @ (inside.T * taken).T
+
+
+@dataclass(frozen=True)
 class Whitener:
     """A linear map of rows (N,) to numbers of variance sigma^2, those that the coefficients take away left out.
 
-    `blocks` are numbers of rows with the inverse Cholesky factor of their covariance; `basis` (N, k) spans
-    what is fitted, `kept` (k,) is what of it a prior leaves in: zero for the coefficients, which have none.
+    `blocks` are numbers of rows with the inverse Cholesky factor of their covariance; `fitted` is what is fitted,
+    each orthogonal to all others: of several blocks each has coefficients of its own in rows of its own.
     """
 
     blocks: tuple[tuple[Ints, Floats], ...]
-    basis: Floats
-    kept: Floats
+    fitted: tuple[Span, ...] = ()
 
     def __matmul__(self, columns: Floats) -> Floats:
         """Return columns (N, …) in units of the noise: their scalar products are those that count."""
         white = self._half(columns)
-        inside: Floats = self.basis.T @ white
-        white -= self.basis @ (inside.T * (1.0 - self.kept)).T
+        for span in self.fitted:
+            span.leave(white, 1.0 - span.kept)
         return white
 
     def weigh(self, columns: Floats) -> Floats:
         """Return the inverse covariance times columns (N, …), what the coefficients take away left out."""
         white = self._half(columns)
-        inside: Floats = self.basis.T @ white
-        white -= self.basis @ (inside.T * (1.0 - self.kept**2)).T
+        for span in self.fitted:
+            span.leave(white, 1.0 - span.kept**2)
         weighed = np.empty_like(white)
         for rows, factor in self.blocks:
             weighed[rows] = factor.T @ white[rows]
         return weighed
+
+    @property
+    def diagonal(self) -> Floats:
+        """Of the map that `weigh` is, shape (N,)."""
+        many = sum(len(rows) for rows, _ in self.blocks)
+        diagonal = np.empty(many)
+        for rows, factor in self.blocks:
+            diagonal[rows] = np.sum(factor**2, axis=0)
+        for span in self.fitted:
+            basis = np.zeros((many, len(span.kept)))
+            basis[span.rows] = span.basis
+            for rows, factor in self.blocks:
+                diagonal[rows] -= (factor.T @ basis[rows]) ** 2 @ (1.0 - span.kept**2)
+        return diagonal
 
     def _half(self, columns: Floats) -> Floats:
         white = np.empty_like(columns, dtype=np.float64)
@@ -121,7 +152,7 @@ def make_noise_grid(
     slope2 = np.bincount(linear.setting[oriented], scaled2, linear.settings).astype(np.float64)
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
-    wide = np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear)
+    wide = _wide(linear)
     blocks = _blocks(linear, wide)
     whites, log_dets = zip(
         *(_white(linear, ratio / typical, sigma, wide, blocks) for ratio in ratios), strict=True
@@ -138,6 +169,17 @@ def make_noise_grid(
         len(linear) - linear.fixed.shape[1] - (0 if linear.by_run is None else len(linear.by_run.sizes) - 1)
     )
     return NoiseGrid(tuple(whites), np.array(log_dets), log_prior, grid / typical, sigma, freedom)
+
+
+def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
+    """Return the map for noise of a reading (unit of the signal) and a setting error (rad) of these very sizes."""
+    wide = _wide(linear)
+    return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide))[0]
+
+
+def _wide(linear: LinearSystem) -> Mask:
+    """Return which of the random columns reach further than a block may."""
+    return np.asarray(np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear))
 
 
 def _blocks(linear: LinearSystem, wide: Mask) -> tuple[Ints, ...]:
@@ -170,13 +212,33 @@ def _white(
         cholesky = np.linalg.cholesky(covariance)
         log_det -= float(np.sum(np.log(np.diag(cholesky))))
         factors.append((rows, np.linalg.inv(cholesky)))
-    half = Whitener(tuple(factors), np.zeros((len(linear), 0)), np.zeros(0))
-    fitted = half @ np.column_stack([linear.fixed, linear.random[:, wide] / sigma])
-    prior = np.zeros((np.count_nonzero(wide), fitted.shape[1]))
-    prior[:, linear.fixed.shape[1] :] = np.eye(len(prior))
-    q, r = np.linalg.qr(np.concatenate([fitted, prior]))
+    spans, more = _fitted(Whitener(tuple(factors)), linear.fixed, linear.random[:, wide] / sigma)
+    return Whitener(tuple(factors), spans), log_det + more
+
+
+def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
+    """Return what coefficients take up, and beside them the `wide` columns with their prior; ln of determinants."""
+    white = half @ fixed
+    spans = []
+    log_det = 0.0
+    for rows, columns in coupled(white):
+        if not len(rows):
+            continue  # a coefficient of which no row tells
+        q, r = np.linalg.qr(white[np.ix_(rows, columns)])
+        log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
+        spans.append(Span(_as_slice(rows), q, np.zeros(len(columns))))
+    if not wide.shape[1]:
+        return tuple(spans), log_det
+    beside = Whitener(half.blocks, tuple(spans)) @ wide
+    q, r = np.linalg.qr(np.concatenate([beside, np.eye(wide.shape[1])]))
     log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
-    basis, size, _ = np.linalg.svd(q[: len(linear)], full_matrices=False)
+    basis, size, _ = np.linalg.svd(q[: len(wide)], full_matrices=False)
     left = 1.0 - size**2
     kept = np.sqrt(np.where(left > ROUNDING, left, 0.0))
-    return Whitener(tuple(factors), basis, kept), log_det
+    return (*spans, Span(slice(None), basis, kept)), log_det
+
+
+def _as_slice(rows: Ints) -> slice | Ints:
+    """Return rows that follow one another as a slice, which copies nothing."""
+    first, last = int(rows[0]), int(rows[-1])
+    return slice(first, last + 1) if last - first == len(rows) - 1 else rows

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -14,6 +14,7 @@ from bench.analysis.diagnosis.joint import make_system
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.looked import Looked, noise_as_it_is
 from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
+from bench.analysis.diagnosis.noise_grid import NoiseGrid
 from bench.analysis.diagnosis.noise_of_runs import with_sizes_of_runs
 from bench.analysis.diagnosis.posterior import noise_size, posterior
 from bench.analysis.diagnosis.repeats import noise_of_repeats
@@ -35,14 +36,16 @@ ALONE: Final = 0.002
 
 @dataclass(frozen=True)
 class _Run:
-    """A run by itself: its rows of the whole, with what all runs have in common taken off.
-
-    `size` is how large its noise is beside that of all.
-    """
+    """A run by itself: its rows of the whole, what might be missing in it, and the maps to units of its noise."""
 
     rows: Mask
     linear: LinearSystem
-    size: float
+    candidates: Candidates
+    grid: NoiseGrid
+
+    def whitened(self) -> Whitened:
+        """Return its candidates in units of the noise; most runs have nothing alone, and need no products."""
+        return Whitened.of(self.grid, self.candidates, few_known=True)
 
 
 COMMON: Final = 5
@@ -119,15 +122,22 @@ def _name_in_all_and_each(
     """
     response = linear.response[:, None]
     data = whitened.reduce(response)
-    grown, alone = _look_in_each(linear, whitened, data, Naming((), 0.0), each)
-    runs = len(np.unique(linear.readings.run))
-    if alone and len({one.variant.mounts for one in alone}) <= max(1, runs // COMMON):
+    many = len(np.unique(linear.readings.run))
+    runs = list(tracked(_runs(linear, each), "runs, each by itself", many))
+    of_one = each.cache.threshold(runs[0].linear, runs[0].whitened(), each.setting_rad).at(ALONE / many)
+    at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
+    grown, alone = at_first
+    if alone and len({one.variant.mounts for one in alone}) <= max(1, many // COMMON):
         whitened = Whitened.of(whitened.grid, grown)
         data = whitened.reduce(response)
     else:
         alone = ()
     naming = name(whitened, data, limit, begun=alone)
-    grown, more = _look_in_each(linear, whitened, data, naming, each)
+    if naming.found:
+        in_all = _common(linear, whitened, data, naming)
+        grown, more = _look_in_each(whitened.candidates, runs, in_all, of_one)
+    else:  # the runs are what they were
+        grown, more = at_first
     if not alone and not more:
         return whitened, naming
     whitened = Whitened.of(whitened.grid, grown) if more else whitened
@@ -153,36 +163,33 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: Found) -> bool:
     return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > UNLIKELY
 
 
-def _look_in_each(
-    linear: LinearSystem, whole: Whitened, data: Data, naming: Naming, each: _EachRun
-) -> tuple[Candidates, tuple[Found, ...]]:
-    """Look in each run for what it has alone; return the candidates with its columns added, and what was found.
+def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:
+    """Return what was found puts into the rows of all runs, shape (N,)."""
+    columns = whitened.candidates.columns[:, list(naming.columns)]
+    fitted = posterior(linear, columns, noise_size(whitened, data, naming.columns))
+    return columns @ fitted.amplitudes
 
-    One threshold, that of the first run, serves for all, at a part of the probability for each. Coefficients are
-    free in every run: what one has of another zero or scale factor is no find here.
+
+def _look_in_each(
+    candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
+) -> tuple[Candidates, tuple[Found, ...]]:
+    """Look in each run for what it has alone, beside what all have in their rows (N,).
+
+    Return the candidates with the columns of what was found added, and what was found. One threshold, that of the
+    first run, serves for all, at a part of the probability for each. Coefficients are free in every run: what one
+    has of another zero or scale factor is no find here.
     """
-    candidates = whole.candidates
-    columns = candidates.columns[:, list(naming.columns)]
-    common = np.zeros(0)
-    if naming.found:
-        common = posterior(linear, columns, noise_size(whole, data, naming.columns)).amplitudes
-    limit: Threshold | None = None
     found: list[Found] = []
-    runs = list(_runs(linear, columns @ common, each))
-    for run in tracked(runs, "runs, each by itself"):
-        sigma = each.sigma * run.size
-        own = make_candidates(run.linear, sigma, absent=each.absent)
-        grid = grid_with_rounding(run.linear, sigma, each.setting_rad, each.resolution)
-        whitened = Whitened.of(grid, own)
-        if limit is None:
-            limit = each.cache.threshold(run.linear, whitened, each.setting_rad).at(ALONE / len(runs))
-        for one in name(whitened, whitened.reduce(run.linear.response[:, None]), limit).found:
-            candidates, embedded = _embedded(candidates, own, one, run)
+    for run in runs:
+        whitened = run.whitened()
+        response = run.linear.response - in_all[run.rows]
+        for one in name(whitened, whitened.reduce(response[:, None]), limit).found:
+            candidates, embedded = _embedded(candidates, one, run)
             found.append(embedded)
     return candidates, tuple(found)
 
 
-def _runs(linear: LinearSystem, in_all: Floats, each: _EachRun) -> Iterator[_Run]:
+def _runs(linear: LinearSystem, each: _EachRun) -> Iterator[_Run]:
     readings = linear.readings
     of_row = readings.run[linear.rows.reading]
     for number in np.unique(readings.run):
@@ -190,15 +197,16 @@ def _runs(linear: LinearSystem, in_all: Floats, each: _EachRun) -> Iterator[_Run
         rows: Mask = of_row == number
         alone = make_linear(table, linear.model, each.stand_u)
         pull = 0.0 if each.weighed is None else each.weighed.pull[rows]
-        response = alone.response + pull - in_all[rows]
-        alone = replace(alone, response=response, by_channel=linear.by_channel)
-        size = 1.0 if linear.by_run is None else float(linear.by_run.sizes[number])
-        yield _Run(rows, with_rounding(alone, each.resolution, size * each.sigma), size)
+        alone = replace(alone, response=alone.response + pull, by_channel=linear.by_channel)
+        sigma = each.sigma * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
+        alone = with_rounding(alone, each.resolution, sigma)
+        grid = grid_with_rounding(alone, sigma, each.setting_rad, each.resolution)
+        yield _Run(rows, alone, make_candidates(alone, sigma, absent=each.absent), grid)
 
 
-def _embedded(candidates: Candidates, own: Candidates, one: Found, run: _Run) -> tuple[Candidates, Found]:
+def _embedded(candidates: Candidates, one: Found, run: _Run) -> tuple[Candidates, Found]:
     """Return the candidates with the columns of what a run has alone, zero in all others, and the find in them."""
-    labels = _labels(run.linear.readings)
+    labels, own = _labels(run.linear.readings), run.candidates
     chosen = list(one.variant.columns)
     first = candidates.columns.shape[1]
     columns = np.zeros((len(candidates.columns), len(chosen)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates
-from bench.analysis.diagnosis.evidence import KNOWN_SIZE, SIZES, Data, Search, Whitened
+from bench.analysis.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
 from bench.base.arrays import Floats, Mask
@@ -70,35 +72,86 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
 
 def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
     """Estimate from `rows` (all by default) with the effects' columns (N, m), one prior size each."""
-    mine = np.ones(len(linear), dtype=bool) if rows is None else rows
-    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
-    white = whiten_rows(linear, noise, np.column_stack([design, linear.response[mine]]), mine)
-    random, extra = linear.random.shape[1], effects.shape[1]
-    prior = np.concatenate(
-        [np.zeros(linear.fixed.shape[1]), np.ones(random), np.full(extra, 1.0 / KNOWN_SIZE**2)]
-    )
-    normal = white[:, :-1].T @ white[:, :-1] + np.diag(prior)
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
-    return Posterior(covariance @ (white[:, :-1].T @ white[:, -1]), covariance, extra)
+    extra = effects.shape[1]
+    normal, right = _normal(linear, effects, noise, rows)
+    covariance = _inverse(normal + np.diag(_at_the_end(np.full(extra, 1.0 / KNOWN_SIZE**2), len(normal))))
+    return Posterior(covariance @ right, covariance, extra)
 
 
 def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
-    """Estimate with all that was found, each effect with a prior of the size that it turned out to have.
+    """Estimate with all that was found, averaged over the sizes that effects may have.
 
-    What the readings do not tell of an effect (how it divides between mountings, say) is then as uncertain as
-    effects of that size are, and no more.
+    What the readings do not tell of an effect (how it divides between mountings, say) is as uncertain as effects
+    of such sizes are, each size with the probability that the prior of the search (`evidence.SIZES`) and the
+    readings give it. Mean and covariance are those of the mixture. All else is normal given the effects, so that
+    it is eliminated once.
     """
     columns = candidates.columns[:, list(naming.columns)]
-    first = posterior(linear, columns, noise)
-    sizes = np.ones(columns.shape[1])
-    for _, mine in naming.parts():
-        largest = float(np.max(np.abs(first.amplitudes[mine])))
-        sizes[mine] = next((size for size in SIZES if largest <= 2 * size), KNOWN_SIZE)
-    scale = sizes / KNOWN_SIZE
-    again = posterior(linear, columns * scale, noise)
-    whole = np.concatenate([np.ones(len(again.mean) - len(scale)), scale])
-    return Posterior(again.mean * whole, again.covariance * np.outer(whole, whole), again.effects)
+    extra = columns.shape[1]
+    normal, right = _normal(linear, columns, noise)
+    if not extra:
+        covariance = _inverse(normal)
+        return Posterior(covariance @ right, covariance, 0)
+    rest = len(normal) - extra
+    free = _inverse(normal[:rest, :rest])
+    gain = free @ normal[:rest, rest:]
+    mean, spread = _of_any_size(
+        normal[rest:, rest:] - normal[rest:, :rest] @ gain,
+        right[rest:] - gain.T @ right[:rest],
+        [mine for _, mine in naming.parts()],
+    )
+    follows = np.vstack([-gain, np.eye(extra)])
+    covariance = follows @ spread @ follows.T
+    covariance[:rest, :rest] += free
+    whole = follows @ mean
+    whole[:rest] += free @ right[:rest]
+    return Posterior(whole, covariance, extra)
+
+
+def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tuple[Floats, Floats]:
+    """Return mean (m,) and covariance (m, m) of amplitudes, averaged over the size of each part of them.
+
+    `precision` (m, m) and `right` (m,) are what the readings say of them, without a prior.
+    """
+    means, spreads, log_weights = [], [], []
+    for chosen in product(range(len(SIZES)), repeat=len(parts)):
+        prior = np.ones(len(right))
+        for size, mine in zip(chosen, parts, strict=True):
+            prior[mine] = 1.0 / SIZES[size] ** 2
+        spread = _inverse(precision + np.diag(prior))
+        mean = spread @ right
+        log_det = np.linalg.slogdet(spread)[1] + np.sum(np.log(prior))
+        log_weights.append(sum(LOG_SIZE_WEIGHTS[size] for size in chosen) + 0.5 * (log_det + right @ mean))
+        means.append(mean)
+        spreads.append(spread)
+    weight = np.exp(np.array(log_weights) - max(log_weights))
+    weight /= weight.sum()
+    mean = weight @ np.array(means)
+    apart = np.array(means) - mean
+    return mean, np.einsum("s,sij->ij", weight, np.array(spreads)) + (apart.T * weight) @ apart
+
+
+def _normal(
+    linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
+) -> tuple[Floats, Floats]:
+    """Return normal matrix and right side with the priors of the stand, none of the effects' columns (N, m)."""
+    mine = np.ones(len(linear), dtype=bool) if rows is None else rows
+    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
+    white = whiten_rows(linear, noise, np.column_stack([design, linear.response[mine]]), mine)
+    normal = white[:, :-1].T @ white[:, :-1]
+    first, random = linear.fixed.shape[1], linear.random.shape[1]
+    normal[range(first, first + random), range(first, first + random)] += 1.0
+    return normal, white[:, :-1].T @ white[:, -1]
+
+
+def _at_the_end(values: Floats, length: int) -> Floats:
+    return np.concatenate([np.zeros(length - len(values)), values])
+
+
+def _inverse(normal: Floats) -> Floats:
+    """Return the inverse of a positive matrix whose rows have units of their own."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    return np.asarray(np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:

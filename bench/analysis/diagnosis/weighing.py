@@ -11,7 +11,7 @@ Source: P. J. Huber, Robust Statistics (Wiley 1981), sections 7.8 and 7.9.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,6 +20,7 @@ from bench.analysis.diagnosis.candidates import Candidates
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Found, Naming
+from bench.analysis.diagnosis.noise_grid import Whitener, make_whitener
 from bench.analysis.diagnosis.posterior import NoiseSize
 from bench.analysis.mistakes.tails import BEYOND_TAILS, LEAST_VALUES, odds_of_tails
 from bench.base.arrays import Floats
@@ -77,10 +78,10 @@ def _weighed(
     linear: LinearSystem, candidates: Candidates, beside: Sequence[Found], noise: NoiseSize
 ) -> WeighedDown | None:
     columns = [i for found in beside for i in found.variant.columns]
-    fit, free = _fit(linear, candidates.columns[:, columns], noise)
-    spread = noise.reading * linear.relative * np.sqrt(np.maximum(free, FREEST))
+    fit = _Fit.of(linear, candidates.columns[:, columns], noise)
+    spread = noise.reading * linear.relative * np.sqrt(np.maximum(fit.free, FREEST))
     size = (linear.response - fit @ linear.response) / spread
-    telling = free > OF_READING
+    telling = fit.free > OF_READING
     by_channel = [size[telling & (linear.rows.channel == c)] for c in range(4)]
     odds = odds_of_tails(np.concatenate(_alike(by_channel)))
     if odds < SURE:
@@ -107,15 +108,21 @@ def _alike(by_channel: list[Floats]) -> list[Floats]:
     return [*of_channels, by_channel[3]]
 
 
-def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Floats, Floats]:
-    """Return the map (N, N) of responses to what is fitted, each setting's error too, and what it leaves (N,)."""
-    settings = linear.setting[:, None] == np.arange(linear.settings)
-    turned = np.where(settings, linear.slope[:, None], 0.0) * noise.setting_rad
-    fixed = linear.fixed / np.linalg.norm(linear.fixed, axis=0)
-    design = np.concatenate([fixed, linear.random, effects * KNOWN_SIZE, turned], axis=1)
-    design = design / (noise.reading * linear.relative)[:, None]
-    priors = design.shape[1] - fixed.shape[1]
-    within = np.concatenate([np.zeros((priors, fixed.shape[1])), np.eye(priors)], axis=1)
-    basis = np.linalg.qr(np.concatenate([design, within]))[0][: len(linear)]
-    white = basis @ basis.T
-    return white * np.outer(linear.relative, 1.0 / linear.relative), 1.0 - np.diag(white)
+@dataclass(frozen=True)
+class _Fit:
+    """What is fitted of responses (N,), each setting's error too; `free` (N,) is what it leaves of each row."""
+
+    white: Whitener
+    noise2: Floats
+    free: Floats
+
+    @classmethod
+    def of(cls, linear: LinearSystem, effects: Floats, noise: NoiseSize) -> _Fit:
+        """Fit the system with its stand angles and the effects' columns (N, m), all within their priors."""
+        random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+        white = make_whitener(replace(linear, random=random), noise.reading, noise.setting_rad)
+        return cls(white, linear.relative**2, linear.relative**2 * white.diagonal)
+
+    def __matmul__(self, response: Floats) -> Floats:
+        # the noise of readings is what is left: its covariance by that of all, weighed
+        return np.asarray(response - self.noise2 * self.white.weigh(response))

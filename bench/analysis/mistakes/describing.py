@@ -19,7 +19,7 @@ from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Condition
 WIDE_G: Final = 5e-3
 """Prior 1 sigma of a free value of a point, or of a slow change, in g: more than any effect makes."""
 WIDE_RAD: Final = np.radians(0.1)
-"""Prior 1 sigma of a zero of the head in each pass."""
+"""Prior 1 sigma of a turn of the block, about any axis, in each pass."""
 COEFFICIENTS_WIDE: Final = 10.0
 """Prior 1 sigma of the coefficients about the first guess, in scale factors: none in effect."""
 FIRST: Final = 3
@@ -124,7 +124,7 @@ def descriptions(problem: Problem, block: Block) -> Descriptions:
     scale = np.linalg.norm(block.K, axis=1)
     stand = linear.jacobian[:, :, FIXED:] * problem.prior_u
     model = [linear.jacobian[:, :, :FIXED] * (COEFFICIENTS_WIDE * scale.max()), stand]
-    slow = _slow(problem.conditions, linear.predicted - block.U0, linear.slope, scale)
+    slow = _slow(problem.conditions, linear.predicted - block.U0, block, scale)
     first = _per_channel(_first(problem.conditions), FIRST_G * scale)
 
     def described(*columns: Floats) -> Description:
@@ -164,25 +164,41 @@ def _first(conditions: Conditions) -> NDArray[np.bool_]:
     return np.asarray(np.arange(len(conditions))[:, None] == rows[rows < len(conditions)])
 
 
-def _slow(conditions: Conditions, deflection: Floats, slope: Floats, scale: Floats) -> list[Floats]:
-    """Columns of what changes with time, temperature and from pass to pass."""
+def turns(conditions: Conditions) -> Ints:
+    """Return a number per reading (n,): same mounting, same pass."""
+    key = np.stack([conditions.mount, conditions.pass_number], axis=1)
+    return np.unique(key, axis=0, return_inverse=True)[1].ravel()
+
+
+def _slow(conditions: Conditions, deflection: Floats, block: Block, scale: Floats) -> list[Floats]:
+    """Columns of what changes with time, temperature and from pass to pass.
+
+    From pass to pass a voltmeter may be another one, and the block may have slipped.
+    """
     time = conditions.elapsed_s - conditions.elapsed_s.min()
     relaxed = [np.exp(-time / tau) for tau in RELAXATION_S]
     time = time / max(float(time.max()), 1e-300)
     along = [time, *relaxed]
-    key = np.stack([conditions.mount, conditions.pass_number], axis=1)
-    _, turn = np.unique(key, axis=0, return_inverse=True)
-    turns = turn.ravel()[:, None] == np.unique(turn)
+    turn = turns(conditions)
+    of_turn = turn[:, None] == np.unique(turn)
     factors = [time]
     if np.ptp(conditions.warmth_k) > 0:
         warmth = conditions.warmth_k / float(np.max(np.abs(conditions.warmth_k)))
         along.append(warmth)
         factors.append(warmth)
     return [
-        _per_channel(np.column_stack([*along, turns]), WIDE_G * scale),
+        _per_channel(np.column_stack([*along, of_turn]), WIDE_G * scale),
         *(np.einsum("ni,ij->nij", factor[:, None] * deflection, WIDE_G * np.eye(3)) for factor in factors),
-        slope[:, :, None] * turns[:, None, :] * WIDE_RAD,
+        *(np.einsum("ni,ij->nij", one[:, None] * deflection, WIDE_G * np.eye(3)) for one in of_turn.T),
+        *(column * of_turn[:, None, :] * WIDE_RAD for column in _turned(deflection, block)),
     ]
+
+
+def _turned(deflection: Floats, block: Block) -> Iterator[Floats]:
+    """Yield what small turns of the block about each of its own axes do to signals, per rad, (n, 3, 1)."""
+    force = deflection @ np.linalg.inv(block.K).T
+    for axis in np.eye(3):
+        yield (np.cross(force, axis) @ block.K.T)[:, :, None]
 
 
 def _per_channel(columns: Floats | NDArray[np.bool_], size: Floats) -> Floats:
@@ -195,33 +211,38 @@ def _per_channel(columns: Floats | NDArray[np.bool_], size: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Precision:
-    """Whitened readings y (3n,) and the inverse P (3n, 3n) of their covariance, `pull` = P y.
+    """Whitened readings y (3n,) and the inverse P = I - B B^T of their covariance by its `basis` B (3n, k).
 
-    Of a reading that is left out rows and columns are zero. The block of P of a reading, inverted, is the
-    covariance of its difference from what all the others let expect, which is that inverse times its pull.
+    `pull` = P y. Of a reading that is left out rows and columns of P are zero. The block of P of a reading,
+    inverted, is the covariance of its difference from what all the others let expect, which is that inverse times
+    its pull.
     """
 
     whitened: Floats
-    matrix: Floats
+    basis: Floats
     pull: Floats
 
     def without(self, rows: Sequence[int]) -> Precision:
         """Leave readings out."""
-        matrix, pull = self.matrix, self.pull
+        basis, pull = self.basis, self.pull
         for row in rows:
             own = slice(3 * row, 3 * row + 3)
-            weights = matrix[:, own] @ np.linalg.inv(matrix[own, own])
-            pull = pull - weights @ pull[own]
-            matrix = matrix - weights @ matrix[own]
-            matrix[own], matrix[:, own], pull[own] = 0.0, 0.0, 0.0
-        return Precision(self.whitened, matrix, pull)
+            columns = -basis @ basis[own].T
+            columns[own] += np.eye(3)
+            size, vectors = np.linalg.eigh(columns[own])
+            # of a reading that has a free value of its own nothing is left but rounding
+            inverse = vectors / np.sqrt(np.maximum(size, np.finfo(float).eps))
+            taken = columns @ inverse
+            pull = pull - taken @ (inverse.T @ pull[own])
+            basis = np.column_stack([basis, taken])
+            pull[own] = 0.0
+        return Precision(self.whitened, basis, pull)
 
     @property
     def blocks(self) -> Floats:
         """The blocks of P of each reading, (n, 3, 3)."""
-        n = len(self.pull) // 3
-        at = np.arange(n)
-        return self.matrix.reshape(n, 3, n, 3)[at, :, at, :]
+        of_reading = self.basis.reshape(len(self.pull) // 3, 3, -1)
+        return np.asarray(np.eye(3) - of_reading @ np.swapaxes(of_reading, 1, 2))
 
     @property
     def pulls(self) -> Floats:
@@ -251,9 +272,10 @@ def expected_chi2(
     precision: Precision, description: Description, situation: Situation, noise: Noise
 ) -> float:
     """Return the expectation of the misfit where stand errors, but none of the free values, are there."""
-    matrix = precision.matrix
-    stand = whiten(description.stand, situation.slope, noise).reshape(len(matrix), -1)
-    return float(np.trace(matrix) + np.einsum("kq,kq->", stand, matrix @ stand))
+    basis = precision.basis
+    stand = whiten(description.stand, situation.slope, noise).reshape(len(basis), -1)
+    trace = len(basis) - float(np.sum(basis**2))
+    return trace + float(np.sum(stand**2)) - float(np.sum((basis.T @ stand) ** 2))
 
 
 def examine(description: Description, situation: Situation, start: Noise | None, most: int) -> Examination:
@@ -292,8 +314,8 @@ def weigh(description: Description, situation: Situation, noise: Noise) -> Preci
     y = whiten(situation.left[:, :, None], situation.slope, noise).ravel()
     size, p = len(y), columns.shape[2]
     q, _ = np.linalg.qr(np.vstack([columns.reshape(size, p), np.eye(p)]))
-    matrix = np.eye(size) - q[:size] @ q[:size].T
-    return Precision(y, matrix, matrix @ y)
+    basis = q[:size]
+    return Precision(y, basis, y - basis @ (basis.T @ y))
 
 
 def _strange(precision: Precision, most: int) -> tuple[int, ...]:

@@ -32,10 +32,11 @@ from bench.analysis.mistakes.describing import (
     examine,
     expected_chi2,
     finish,
+    turns,
     weigh,
 )
 from bench.analysis.mistakes.tails import BEYOND_TAILS, odds_of_tails
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.model import Block
 from bench.readings import mistaken
 
@@ -101,7 +102,7 @@ def find_single(
     described = descriptions(problem, block)
     looks += DIRECTIONS * len(situation.left)
     ladder = _Ladder(situation, described, max(MOST_STRANGE, len(situation.left) // 8))
-    level = ladder.adequate()
+    level = ladder.adequate(turns(problem.conditions))
     examined = ladder.examined(level)
     if not examined.strange or len(examined.strange) > ladder.most:
         return [], looks
@@ -119,7 +120,8 @@ def find_single(
     near = [m for m in found if m.off_rad is None and _in_readings(m, judged.noise) < BEYOND_TAILS]
     if near and _tailed(situation, judged, near):
         found = [m for m in found if m not in near]
-    return sorted(_alone(found), key=lambda m: -m.sigma), looks
+    turned = level + 1 == len(described.ladder)
+    return sorted(_alone(found, turned=turned), key=lambda m: -m.sigma), looks
 
 
 def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
@@ -145,12 +147,16 @@ def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:
     return np.asarray(pull @ ways / np.sqrt(np.maximum(variance, 1e-300)))
 
 
-def _alone(found: Sequence[SingleMistake]) -> list[SingleMistake]:
-    """Leave out outliers that go on from one reading to the next: those of a change, not of a mistake."""
+def _alone(found: Sequence[SingleMistake], *, turned: bool) -> list[SingleMistake]:
+    """Leave out outliers that go on from one reading to the next: those of a change, not of a mistake.
+
+    Beside passes with a slip each (`turned`), whatever their sign: the block slipped within one of them.
+    """
 
     def goes_on(one: SingleMistake, other: SingleMistake) -> bool:
         common = ["xyz".index(channel) for channel in one.channels if channel in other.channels]
-        return abs(one.row - other.row) == 1 and any(one.shift[i] * other.shift[i] > 0 for i in common)
+        alike = any(turned or one.shift[i] * other.shift[i] > 0 for i in common)
+        return abs(one.row - other.row) == 1 and alike
 
     return [m for m in found if m.off_rad is not None or not any(goes_on(m, other) for other in found)]
 
@@ -172,11 +178,23 @@ class _Ladder:
             self._examined[level] = examine(description, self._situation, start, self.most)
         return self._examined[level]
 
-    def adequate(self) -> int:
+    def adequate(self, turn: Ints) -> int:
         """Return the plainest description that the next one does not better by more than noise.
 
-        Only as far as there is anything strange to be explained.
+        Only as far as there is anything strange to be explained. Several strange readings of one `turn` (n,), a
+        pass in a mounting, may be what a slip of the block made of them: where the freest description, which has
+        that, explains one of them it is the adequate one, for what was left out tells nothing for it.
         """
+        level = self._plainest()
+        strange = np.array(self.examined(level).strange, dtype=np.int64)
+        of_turn, count = np.unique(turn[strange], return_counts=True)
+        together = strange[np.isin(turn[strange], of_turn[count > 1])]
+        freest = len(self._described.ladder) - 1
+        if not len(together) or np.isin(together, self.examined(freest).strange).all():
+            return level
+        return freest
+
+    def _plainest(self) -> int:
         level = 0
         while level + 1 < len(self._described.ladder):
             plain = self.examined(level)

@@ -113,18 +113,31 @@ def other_installation(actual: str, stated: str, before: str | None) -> Supposed
     return Supposed(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
 
 
+SAME_SEAT: Final = 1e-5
+"""How far the elements of two rotations differ where the block sits alike."""
+
+
+def _quarter_turns() -> tuple[tuple[tuple[int, ...], tuple[float, ...], Floats], ...]:
+    every = product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+    turns = ((order, signs, np.diag(signs) @ np.eye(3)[list(order)]) for order, signs in every)
+    return tuple(turn for turn in turns if np.linalg.det(turn[2]) > 0)
+
+
+QUARTER_TURNS: Final = _quarter_turns()
+"""The 24 rotations that bring axes upon axes: the order and the signs of the channels, and the matrix (3, 3)."""
+
+
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
     """Return the ways in which a block may sit on the platform otherwise, by what is said of each.
 
     They are the quarter turns of installation `label`, without those that another installation has.
     """
     own = installations[label].block_from_platform
-    known = [other.block_from_platform for other in installations.values()]
+    known = np.array([other.block_from_platform for other in installations.values()])
     found = {}
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        turn = np.diag(signs) @ np.eye(3)[list(order)]
+    for order, signs, turn in QUARTER_TURNS:
         turned = turn @ own
-        if np.linalg.det(turn) < 0 or any(np.allclose(turned, one, atol=1e-6) for one in known):
+        if np.any(np.all(np.abs(turned - known) <= SAME_SEAT, axis=(1, 2))):
             continue
         axes = [("" if signs[i] > 0 else "-") + CHANNELS[order[i]] for i in range(3)]
         where = ", ".join(

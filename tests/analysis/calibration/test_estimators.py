@@ -29,8 +29,8 @@ def a_further_one(monkeypatch):
 def commands(readings):
     return (
         ("calibrate", readings, "--json", "-"),
-        ("budget", "--procedure", "paper", "--trials", 0, "--json", "-"),
-        ("require", "--accuracy", "3e-4", "--procedure", "paper", "--json", "-"),
+        ("budget", "--procedure", "quick", "--trials", 0, "--json", "-"),
+        ("require", "--accuracy", "3e-4", "--procedure", "quick", "--json", "-"),
     )
 
 

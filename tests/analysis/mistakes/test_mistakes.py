@@ -22,7 +22,7 @@ from tests.support.mistaken_runs import (
     with_outlier,
     with_signal,
 )
-from tests.support.paper_bench import STAND_U, K, design
+from tests.support.paper_bench import ARCSEC, STAND_U, U0, K, design
 
 
 def spoil(name, scope, seed):
@@ -189,6 +189,25 @@ def test_hysteresis_that_is_off_in_a_first_reading_is_no_outlier(size_ug):
 
     for seed in range(8):
         assert find(run([27, seed], added=friction)).mistakes == (), seed
+
+
+def test_a_slip_and_another_voltmeter_in_one_pass_are_no_outliers():
+    def of_one_pass(rng, moved):
+        label, number = rng.choice(["1", "2"]), int(rng.integers(1, 4))
+        return lambda labels, numbers, _phi, force, _slope: np.where(
+            ((labels == label) & (numbers == number))[:, None], moved(force), 0.0
+        )
+
+    for seed in range(12):
+        rng = np.random.default_rng([28, seed])
+        turn = rng.normal(size=3)
+        turn *= rng.uniform(25, 40) * ARCSEC / np.linalg.norm(turn)
+        gain = rng.uniform(1e-4, 2e-4, 3) * rng.choice([-1.0, 1.0], 3)
+        for name, moved in {
+            "slip": lambda force, turn=turn: np.cross(force, turn) @ K.T,
+            "voltmeter": lambda force, gain=gain: (force @ K.T + U0) * gain,
+        }.items():
+            assert find(run([29, seed], added=of_one_pass(rng, moved))).mistakes == (), (name, seed)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.blind_trial.cases import make_case, seal
 from benchmarks.blind_trial.designs import make_run
+from benchmarks.blind_trial.kept import Kept
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.run import FULL, SHORT, main
 from benchmarks.blind_trial.signals import signals
@@ -47,6 +48,39 @@ def test_the_trial_counts_failures_and_seals_its_cases(tmp_path, capsys):
     assert [line["id"] for line in sealed] == [case["id"] for case in score["cases"]]
     case, answer = make_case(1, SHORT[0], 0)
     assert seal(case, answer) == sealed[0]
+
+
+def test_a_trial_that_was_interrupted_goes_on_where_it_stopped(tmp_path, capsys):
+    kept, made = tmp_path / "kept", []
+
+    def counted(case):
+        made.append(case.id)
+        return agrees_or_fails(case)
+
+    def score(seed=1):
+        made.clear()
+        arguments = ["--short", "--only", "null", "--rows", "6", "--workers", "1", "--seed", str(seed)]
+        main([*arguments, "--keep", str(kept), "--json", str(tmp_path / "s")], diagnose=counted)
+        return json.loads((tmp_path / "s").read_text())
+
+    whole = score()
+    assert len(made) == len(whole["cases"])
+    assert score() == whole
+    assert made == []
+    # a kill in the middle of a line
+    lines = kept.read_bytes().splitlines(keepends=True)
+    kept.write_bytes(b"".join(lines[:-3]) + lines[-3][:40])
+    assert score() == whole
+    assert made == [case["id"] for case in whole["cases"]][-3:]
+    with pytest.raises(SystemExit, match="of another seed"):
+        score(seed=2)
+    own_lines = kept.read_bytes().splitlines(keepends=True)
+    other = tmp_path / "other"
+    Kept(other, 1, code="another program")
+    kept.write_bytes(b"".join([*other.read_bytes().splitlines(keepends=True), *own_lines[1:]]))
+    with pytest.raises(SystemExit, match="of another program"):
+        score()
+    capsys.readouterr()
 
 
 def test_a_kind_that_does_not_exist_is_refused(capsys):

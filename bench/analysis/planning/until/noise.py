@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import stats
+from scipy.special import gammaincinv
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.noise import whiten
@@ -38,7 +38,7 @@ class Scale:
     def bound(self) -> float:
         """What the noise is below with the probability `SURE`."""
         freedom = BELIEVED + self.dof
-        return float(self.size * np.sqrt(freedom / stats.chi2.ppf(1.0 - SURE, freedom)))
+        return float(self.size * np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - SURE))))
 
 
 NOTHING_KNOWN: Final = Scale()
