@@ -14,20 +14,24 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.candidates import SLIP, Candidates
 from bench.analysis.diagnosis.channels import sizes_left
 from bench.analysis.diagnosis.evidence import Data, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming, Scored, name
 from bench.analysis.diagnosis.posterior import noise_size
 from bench.analysis.diagnosis.repeats import Repeats
-from bench.analysis.diagnosis.slow_noise import SlowNoise, slow_noise, with_slow_noise
+from bench.analysis.diagnosis.slow_noise import SlowNoise, beside_all_sizes, slow_noise, with_slow_noise
 from bench.analysis.diagnosis.threshold import Threshold
 from bench.analysis.diagnosis.weighing import WeighedDown, weigh_down
 from bench.base.arrays import Floats
 
 CLEAR: Final = 6.0
 """What is so far above the threshold is there whatever the ratio of the noises."""
+HARDLY: Final = 3.0
+"""A name that is no further above the threshold must reach it beside slow noise, too."""
+BESIDE_NAMES: Final = 0.1
+"""So plausible is slow noise beforehand beside names; beside what has no name it is as plausible as none."""
 TOO_LARGE: Final = 0.7
 """Repeats that say more than the noise over this have what was found in them, as a reading that stands apart is."""
 SAME_SIZE: Final = 0.1
@@ -113,13 +117,39 @@ def beside_slow_noise(looked: Looked, naming: Naming, prepare: Prepare) -> tuple
     strongest = max((found.total for found in naming.found), default=-np.inf)
     if looked.whitened.grid.known or strongest > looked.limit.value + CLEAR:
         return looked, naming
-    slow = slow_noise(looked.linear, looked.whitened, Scored.beside(looked.whitened, looked.data, ()).ratio)
-    if not slow or sum(one.odds for one in slow) < sum(found.evidence for found in naming.found):
-        return looked, naming
     noise = noise_size(looked.whitened, looked.data, naming.columns)
+    slow = _instead(looked, naming, noise.reading)
+    if not slow:
+        return looked, naming
     again = prepare(with_slow_noise(looked.linear, slow), looked.limit, noise.reading)
     again = replace(again, bend=looked.bend, weighed=looked.weighed, slow=slow)
     return again, name(again.whitened, again.data, again.limit)
+
+
+def _instead(looked: Looked, naming: Naming, noise: float) -> tuple[SlowNoise, ...]:
+    """Return the slow noise that stands in the place of what was found, nothing where that holds.
+
+    It is that of the channels in which it shows by itself. Where that explains less, what was found must reach the
+    threshold beside slow noise of all channels, too, whatever its size: a name that hardly does without, and what
+    has none. A slip that reaches the threshold of slips is there by that.
+    """
+    sure = slow_noise(looked.linear, looked.whitened, Scored.beside(looked.whitened, looked.data, ()).ratio)
+    if sure and sum(one.odds for one in sure) >= sum(found.evidence for found in naming.found):
+        return sure
+    limit, strongest = looked.limit.value, max((found.total for found in naming.found), default=-np.inf)
+    named = all(found.variant.named for found in naming.found)
+    if strongest < limit or (named and strongest > limit + HARDLY) or _slipped(looked.limit, naming):
+        return ()
+    plausible = BESIDE_NAMES if named else 1.0
+    beside = beside_all_sizes(looked.linear, looked.whitened, noise, plausible)
+    if beside is None or beside.total >= limit:
+        return ()
+    return sure or beside.slow
+
+
+def _slipped(limit: Threshold, naming: Naming) -> bool:
+    """Whether a slip was found that reaches the threshold of slips."""
+    return any(found.variant.family == SLIP and limit.by_slip(found.of_slip) for found in naming.found)
 
 
 def in_the_noise_of(looked: LinearSystem, weighed: WeighedDown | None, linear: LinearSystem) -> LinearSystem:

@@ -51,10 +51,14 @@ def noise_kinds(
         )
     if slow:
         told = ", ".join(f"{quantity(one.size, unit)} in {CHANNELS[one.channel]}" for one in slow)
+        over = f"slow noise, over the run {told} (root mean square)"
+        if all(one.sure for one in slow):
+            there = f"beside the noise of a reading there is {over}"
+        else:
+            there = f"{over}, explains the readings as well as an effect does"
         yield NoiseKind(
             "slow",
-            f"beside the noise of a reading there is slow noise, over the run {told} (root mean square): a drift "
-            "that is no larger stays hidden in it, and the u of the coefficients holds it",
+            f"{there}: a drift that is no larger stays hidden in it, and the u of the coefficients holds it",
         )
     if is_coarse(digit, noise.reading):
         yield NoiseKind(
