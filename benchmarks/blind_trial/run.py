@@ -83,16 +83,16 @@ FULL: Final[tuple[Row, ...]] = (
         for kind in SLIPS
         for rho in (8, 30, LARGE_RHO)
     ),
-    *(Row("single", rho=rho, count=150) for rho in QUIETER_RHO),
+    *(Row("single", rho=rho) for rho in QUIETER_RHO),
     *(Row("single", design, rho) for design in ("both", "turn-12") for rho in QUIETER_RHO),
     *(Row("single", design, 10) for design in ("return", "remount-180", "reordered")),
     Row("single", rho=8, noise_v=30e-6),
     Row("single", rho=8, noise_v=100e-6),
     Row("single", rho=8, noise_factor=0.7),
     Row("single", rho=8, noise_factor=1.3),
-    *(Row("pair", rho=rho, count=150) for rho in (10, 15)),
+    *(Row("pair", rho=rho) for rho in (10, 15)),
     *(Row("outside", rho=rho, count=200) for rho in (12, 20)),
-    *(Row("own", rho=rho, count=120) for rho in (6, 10, 20)),
+    *(Row("own", rho=rho) for rho in (6, 10, 20)),
     Row("hidden"),
     Row("hidden", "unverified"),
     Row("equal_k2", rho=12),
@@ -103,8 +103,8 @@ FULL: Final[tuple[Row, ...]] = (
     *FREE_ROWS,
     Row("single", rho=MANY_RHO * 20**0.5),
     # one of these costs as much as forty others
-    *(Row("null", runs=20, blocks=blocks, count=30) for blocks in (False, True)),
-    *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=60) for blocks in (False, True)),
+    *(Row("null", runs=20, blocks=blocks, count=10) for blocks in (False, True)),
+    *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=20) for blocks in (False, True)),
 )
 SHORT: Final[tuple[Row, ...]] = (
     Row("null", count=60),
