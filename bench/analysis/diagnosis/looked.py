@@ -28,10 +28,10 @@ from bench.base.arrays import Floats
 
 CLEAR: Final = 6.0
 """What is so far above the threshold is there whatever the ratio of the noises."""
-HARDLY: Final = 3.0
+HARDLY: Final = 2.0
 """A name that is no further above the threshold must reach it beside slow noise, too."""
-BESIDE_NAMES: Final = 0.1
-"""So plausible is slow noise beforehand beside names; beside what has no name it is as plausible as none."""
+PLAUSIBLE: Final = 1.0
+"""The odds that there is slow noise, beforehand, where something seems to be missing."""
 TOO_LARGE: Final = 0.7
 """Repeats that say more than the noise over this have what was found in them, as a reading that stands apart is."""
 SAME_SIZE: Final = 0.1
@@ -140,8 +140,7 @@ def _instead(looked: Looked, naming: Naming, noise: float) -> tuple[SlowNoise, .
     named = all(found.variant.named for found in naming.found)
     if strongest < limit or (named and strongest > limit + HARDLY) or _slipped(looked.limit, naming):
         return ()
-    plausible = BESIDE_NAMES if named else 1.0
-    beside = beside_all_sizes(looked.linear, looked.whitened, noise, plausible)
+    beside = beside_all_sizes(looked.linear, looked.whitened, noise, PLAUSIBLE)
     if beside is None or beside.total >= limit:
         return ()
     return sure or beside.slow
