@@ -40,7 +40,10 @@ class _ByDesign(ThresholdCache):
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present key, made from the first case that has it."""
         of_runs = () if linear.by_run is None else size_steps(linear.by_run.sizes)
-        key = (*self.key, len(linear), linear.fixed.shape[1], *channel_steps(linear), *of_runs)
+        # readings that are rounded alike share random columns, and their noise is believed
+        of_noise = (linear.random.shape[1], whitened.grid.known)
+        size = (len(linear), linear.fixed.shape[1])
+        key = (*self.key, *size, *of_noise, *channel_steps(linear), *of_runs)
         if key not in self.known:
             self.known[key] = super().threshold(linear, whitened, setting_rad)
         return self.known[key]
