@@ -32,7 +32,7 @@ def cache_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def no_power_cut() -> Iterator[None]:
-    """Leave out the wait for the disk, a third of a dry run: no test cuts the computer's power.
+    """Leave out the wait for the disk, which costs much of a dry run: no test cuts the computer's power.
 
     What a program wrote before it was killed, the system keeps without it. A closed file is an error still.
     """

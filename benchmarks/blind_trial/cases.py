@@ -284,7 +284,7 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
         case "equal_k2":
             return [_scaled(rng, row, run, seen, _equal_k2)]
         case "mounting_roll":
-            return [_next(rng, row, run, seen, [SEEN_IN_VERIFICATION], index, STAND)]
+            return [_scaled(rng, row, run, seen, STAND[SEEN_IN_VERIFICATION])]
         case kind if kind in SLIPS:
             return [_scaled(rng, row, run, seen, SLIPS[kind])]
         case _:

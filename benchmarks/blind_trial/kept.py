@@ -12,18 +12,20 @@ import hashlib
 import json
 import time
 import zlib
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.blind_trial.score import Outcome, Task
 
 _ROOT: Final = Path(__file__).parents[2]
-_CODE: Final = ("bench", "benchmarks/blind_trial")
+_CODE: Final = ("bench", "drivers", "benchmarks/blind_trial")
+_LIBRARIES: Final = ("numpy", "scipy")
 
 
 def code_sha256(root: Path = _ROOT) -> str:
-    """Return a SHA-256 of all that a diagnosis is made by: program, its data files, and this trial."""
-    whole = hashlib.sha256()
+    """Return a SHA-256 of what a diagnosis is made by: program, its data files, this trial, libraries."""
+    whole = hashlib.sha256("".join(f"{name} {version(name)}\0" for name in _LIBRARIES).encode())
     for folder in _CODE:
         for path in sorted((root / folder).rglob("*")):
             if path.is_file() and path.suffix in {".py", ".yaml"}:
@@ -42,11 +44,13 @@ class Kept:
         head = {"seed": seed, "code": code or code_sha256()}
         self._done: dict[tuple[str, int], dict[str, Any]] = {}
         text = path.read_bytes() if path.exists() else b""
-        whole = text[: text.rfind(b"\n") + 1]
-        lines = [_read(line) for line in whole.splitlines()]
-        if not lines:
-            lines, whole = [head], _written(head)
-        if lines[0] != head:
+        whole = text[: text.rfind(b"\n") + 1] if text else _written(head)
+        try:
+            lines = [_read(line) for line in whole.splitlines()]
+            same = lines[0] == head
+        except (ValueError, zlib.error, IndexError) as error:
+            raise ValueError(f"{path}: holds no diagnoses of a trial; name another file") from error
+        if not same:
             what = "seed" if lines[0].get("seed") != seed else "program"
             raise ValueError(f"{path}: its diagnoses are of another {what}; name another file, or remove it")
         if whole != text:
@@ -66,16 +70,17 @@ class Kept:
     def outcome(self, task: Task) -> Outcome | None:
         """Return what was kept of a task; None where it is still to be done."""
         line = self._done.get((task.row.key, task.index))
-        return None if line is None else Outcome(task, line["seal"], line["diagnosis"], line["error"])
+        return None if line is None else Outcome(task, line["seal"], line["diagnosis"])
 
     def keep(self, outcome: Outcome) -> None:
-        """Append an outcome."""
+        """Append an outcome; one that failed is tried again another time."""
+        if outcome.error:
+            return
         line = {
             "row": outcome.task.row.key,
             "index": outcome.task.index,
             "seal": outcome.seal,
             "diagnosis": outcome.diagnosis,
-            "error": outcome.error,
             "call": self._call,
             "elapsed_s": round(time.perf_counter() - self._start, 1),
         }

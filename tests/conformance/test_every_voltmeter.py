@@ -99,7 +99,7 @@ def test_a_meter_that_was_switched_off_is_told_and_set_anew(device, tmp_path):
         stand.driver.configure(stand.settings())
         before = reading(stand)
         stand.dialect.power_cycle()
-        with stand.expecting_nothing(), pytest.raises((InstrumentLost, InstrumentRefused, BadReading)):
+        with pytest.raises((InstrumentLost, InstrumentRefused, BadReading)):
             reading(stand)
         stand.driver.open()
         stand.driver.configure(stand.settings())

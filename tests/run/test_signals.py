@@ -104,6 +104,7 @@ def test_killed_and_resumed_it_ends_as_if_nothing_had_been(tmp_path):
         wait_for(partial(grown, size), process)
         process.kill()
         process.wait(timeout=PATIENCE_S)
+        assert read_history(tmp_path / "runs/hit").state == "running"
         process = begin("resume", "hit")
     process.wait(timeout=PATIENCE_S)
     run = Run(tmp_path / "runs/hit")

@@ -138,8 +138,10 @@ class Stand:
     def expecting_nothing(self) -> Iterator[None]:
         """Wait but shortly for replies; a silence ends it."""
         patience_s, self.session.timeout_s = self.session.timeout_s, SILENCE_S
-        yield
-        self.session.timeout_s = patience_s
+        try:
+            yield
+        finally:
+            self.session.timeout_s = patience_s
 
     @property
     def section(self) -> Any:

@@ -110,9 +110,9 @@ def _own_sizes_instead(looked: Looked, naming: Naming, again: Again) -> tuple[Lo
 
 
 def beside_slow_noise(looked: Looked, naming: Naming, prepare: Prepare) -> tuple[Looked, Naming]:
-    """Look for all again beside slow noise, where that explains the readings better than all that was found does.
+    """Look for all again beside slow noise, where that stands in the place of all that was found (`_instead`).
 
-    What is found clearly is there: never does it pass for slow noise.
+    What is found clearly is there: never does it, or what was found beside it, pass for slow noise.
     """
     strongest = max((found.total for found in naming.found), default=-np.inf)
     if looked.whitened.grid.known or strongest > looked.limit.value + CLEAR:

@@ -226,7 +226,7 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
             continue  # a coefficient of which no row tells
         q, r = np.linalg.qr(white[np.ix_(rows, columns)])
         log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
-        spans.append(Span(_as_slice(rows), q, np.zeros(len(columns))))
+        spans.append(Span(_as_slice(rows), q, np.zeros(q.shape[1])))
     if not wide.shape[1]:
         return tuple(spans), log_det
     beside = Whitener(half.blocks, tuple(spans)) @ wide

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Final
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from bench.analysis.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZE
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
 from bench.base.arrays import Floats, Mask
+
+AVERAGED: Final = 5
+"""Parts over whose sizes is averaged: of one run no more are found, of many the least sure count."""
 
 
 @dataclass(frozen=True)
@@ -113,22 +117,47 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 
     `precision` (m, m) and `right` (m,) are what the readings say of them, without a prior.
     """
-    means, spreads, log_weights = [], [], []
-    for chosen in product(range(len(SIZES)), repeat=len(parts)):
-        prior = np.ones(len(right))
-        for size, mine in zip(chosen, parts, strict=True):
-            prior[mine] = 1.0 / SIZES[size] ** 2
-        spread = _inverse(precision + np.diag(prior))
-        mean = spread @ right
-        log_det = np.linalg.slogdet(spread)[1] + np.sum(np.log(prior))
-        log_weights.append(sum(LOG_SIZE_WEIGHTS[size] for size in chosen) + 0.5 * (log_det + right @ mean))
-        means.append(mean)
-        spreads.append(spread)
+    log_weights, means, spreads = zip(
+        *(
+            _of_sizes(precision, right, parts, sizes)
+            for sizes in product(*_plausible_sizes(precision, right, parts))
+        ),
+        strict=True,
+    )
     weight = np.exp(np.array(log_weights) - max(log_weights))
     weight /= weight.sum()
     mean = weight @ np.array(means)
     apart = np.array(means) - mean
     return mean, np.einsum("s,sij->ij", weight, np.array(spreads)) + (apart.T * weight) @ apart
+
+
+def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
+    """Return the sizes over which each part is averaged: all, but of many parts the surest have the likeliest."""
+    every = tuple(range(len(SIZES)))
+    if len(parts) <= AVERAGED:
+        return [every] * len(parts)
+    likeliest = [len(SIZES) - 1] * len(parts)
+    surety = np.empty(len(parts))
+    for number in range(len(parts)):
+        before, after = likeliest[:number], likeliest[number + 1 :]
+        logs = np.array([_of_sizes(precision, right, parts, (*before, k, *after))[0] for k in every])
+        likeliest[number] = int(np.argmax(logs))
+        surety[number] = 1.0 / np.sum(np.exp(logs - logs.max()))
+    open_parts = set(np.argsort(surety)[:AVERAGED].tolist())
+    return [every if number in open_parts else (size,) for number, size in enumerate(likeliest)]
+
+
+def _of_sizes(
+    precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
+) -> tuple[float, Floats, Floats]:
+    """Return ln of the probability of these sizes of the parts, and mean and covariance of amplitudes then."""
+    prior = np.ones(len(right))
+    for size, mine in zip(sizes, parts, strict=True):
+        prior[mine] = 1.0 / SIZES[size] ** 2
+    spread = _inverse(precision + np.diag(prior))
+    mean = spread @ right
+    log_det = np.linalg.slogdet(spread)[1] + np.sum(np.log(prior))
+    return sum(LOG_SIZE_WEIGHTS[size] for size in sizes) + 0.5 * float(log_det + right @ mean), mean, spread
 
 
 def _normal(

@@ -60,6 +60,10 @@ ADEQUATE: Final = 0.05
 """A description is too plain where a freer one is better with a p below this."""
 INADEQUATE: Final = 1e-4
 """It is too plain for certain where that p is below this."""
+LEAST_OF_TURN: Final = 6
+"""Readings of a pass of which a slip and another voltmeter, nine numbers, explain but half."""
+SEVERAL: Final = 3
+"""Strange readings of a pass that may be a slip: it shows in most of them, if not as clearly."""
 STANDS_OUT: Final = 3.5
 """Least size, in standard deviations, of a mistake beside the descriptions that are freer than needed."""
 EXPLAINED: Final = 1e-4
@@ -150,7 +154,8 @@ def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:
 def _alone(found: Sequence[SingleMistake], *, turned: bool) -> list[SingleMistake]:
     """Leave out outliers that go on from one reading to the next: those of a change, not of a mistake.
 
-    Beside passes with a slip each (`turned`), whatever their sign: the block slipped within one of them.
+    Beside the freest description (`turned`), which has a slip in each pass, whatever their sign: the block may have
+    slipped within one.
     """
 
     def goes_on(one: SingleMistake, other: SingleMistake) -> bool:
@@ -183,16 +188,19 @@ class _Ladder:
 
         Only as far as there is anything strange to be explained. Several strange readings of one `turn` (n,), a
         pass in a mounting, may be what a slip of the block made of them: where the freest description, which has
-        that, explains one of them it is the adequate one, for what was left out tells nothing for it.
+        that, explains some of them and makes no others of the pass strange it is the adequate one, for what was left
+        out tells nothing for it. Two outliers it would explain too often, and of few readings in a pass anything.
         """
         level = self._plainest()
         strange = np.array(self.examined(level).strange, dtype=np.int64)
-        of_turn, count = np.unique(turn[strange], return_counts=True)
-        together = strange[np.isin(turn[strange], of_turn[count > 1])]
+        told = np.bincount(turn) >= LEAST_OF_TURN
+        slipped = told & (np.bincount(turn[strange], minlength=len(told)) >= SEVERAL)
         freest = len(self._described.ladder) - 1
-        if not len(together) or np.isin(together, self.examined(freest).strange).all():
-            return level
-        return freest
+        if np.any(slipped):
+            left = {row for row in self.examined(freest).strange if slipped[turn[row]]}
+            if left < set(strange[slipped[turn[strange]]].tolist()):
+                return freest
+        return level
 
     def _plainest(self) -> int:
         level = 0

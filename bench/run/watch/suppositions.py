@@ -113,10 +113,6 @@ def other_installation(actual: str, stated: str, before: str | None) -> Supposed
     return Supposed(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
 
 
-SAME_SEAT: Final = 1e-5
-"""How far the elements of two rotations differ where the block sits alike."""
-
-
 def _quarter_turns() -> tuple[tuple[tuple[int, ...], tuple[float, ...], Floats], ...]:
     every = product(permutations(range(3)), product((1.0, -1.0), repeat=3))
     turns = ((order, signs, np.diag(signs) @ np.eye(3)[list(order)]) for order, signs in every)
@@ -137,7 +133,7 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
     found = {}
     for order, signs, turn in QUARTER_TURNS:
         turned = turn @ own
-        if np.any(np.all(np.abs(turned - known) <= SAME_SEAT, axis=(1, 2))):
+        if np.isclose(turned, known, atol=1e-6).all(axis=(1, 2)).any():
             continue
         axes = [("" if signs[i] > 0 else "-") + CHANNELS[order[i]] for i in range(3)]
         where = ", ".join(

@@ -211,6 +211,22 @@ def test_a_slip_and_another_voltmeter_in_one_pass_are_no_outliers():
 
 
 @pytest.mark.slow
+def test_two_outliers_in_one_pass_are_found():
+    """Of 20 to 60 standard deviations, in readings that are not next to each other: no slip explains them."""
+    for seed in range(12):
+        rng = np.random.default_rng([44, seed])
+        good = run([45, seed])
+        first = 9 * int(rng.integers(6))
+        rows = [first + int(k) for k in ((1, 3), (2, 5), (1, 7), (3, 6))[seed % 4]]
+        bad = good
+        for row in rows:
+            channel, sigma = int(rng.integers(3)), float(rng.uniform(20, 60))
+            bad = with_outlier(bad, row, channel, outlier_v(good, row, channel, sigma, NOISE_V))
+        told = {(m.pass_number, m.point) for m in find(bad).mistakes}
+        assert told == {(good.pass_number[row], good.point[row]) for row in rows}, seed
+
+
+@pytest.mark.slow
 def test_half_of_the_outliers_of_twelve_standard_deviations_are_told_from_tails():
     """They may as well be the tails of a noise that has them: odds of 12 to 1 against that are asked for.
 

@@ -55,7 +55,7 @@ def test_a_trial_that_was_interrupted_goes_on_where_it_stopped(tmp_path, capsys)
 
     def counted(case):
         made.append(case.id)
-        return agrees_or_fails(case)
+        return said("agrees")
 
     def score(seed=1):
         made.clear()
@@ -80,7 +80,38 @@ def test_a_trial_that_was_interrupted_goes_on_where_it_stopped(tmp_path, capsys)
     kept.write_bytes(b"".join([*other.read_bytes().splitlines(keepends=True), *own_lines[1:]]))
     with pytest.raises(SystemExit, match="of another program"):
         score()
+    kept.write_text('{\n "score": 1\n}')
+    with pytest.raises(SystemExit, match="holds no diagnoses of a trial"):
+        score()
+    assert kept.read_text() == '{\n "score": 1\n}'
     capsys.readouterr()
+
+
+def test_a_diagnosis_that_failed_is_tried_again(tmp_path, capsys):
+    made = []
+
+    def counted(case):
+        made.append(case.id)
+        return agrees_or_fails(case)
+
+    arguments = [
+        "--short",
+        "--only",
+        "null",
+        "--rows",
+        "6",
+        "--workers",
+        "1",
+        "--keep",
+        str(tmp_path / "kept"),
+    ]
+    assert main(arguments, diagnose=counted) == 1
+    first = made.copy()
+    made.clear()
+    assert main(arguments, diagnose=counted) == 1
+    failed = capsys.readouterr().out.count("failed")
+    assert 0 < len(made) < len(first)
+    assert failed > 0
 
 
 def test_a_kind_that_does_not_exist_is_refused(capsys):
