@@ -103,8 +103,8 @@ FULL: Final[tuple[Row, ...]] = (
     *FREE_ROWS,
     Row("single", rho=MANY_RHO * 20**0.5),
     # one of these costs as much as forty others
-    *(Row("null", runs=20, blocks=blocks, count=10) for blocks in (False, True)),
-    *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=20) for blocks in (False, True)),
+    *(Row("null", runs=20, blocks=blocks, count=5) for blocks in (False, True)),
+    *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=10) for blocks in (False, True)),
 )
 SHORT: Final[tuple[Row, ...]] = (
     Row("null", count=60),
