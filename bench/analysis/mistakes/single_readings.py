@@ -188,8 +188,8 @@ class _Ladder:
 
         Only as far as there is anything strange to be explained. Several strange readings of one `turn` (n,), a
         pass in a mounting, may be what a slip of the block made of them: where the freest description, which has
-        that, explains some of them and makes no others of the pass strange it is the adequate one, for what was left
-        out tells nothing for it. Two outliers it would explain too often, and of few readings in a pass anything.
+        that, explains some of them and makes no others of the pass strange it is the adequate one, as what was
+        left out tells nothing for it. Two outliers it would explain too often, and of a few readings anything.
         """
         level = self._plainest()
         strange = np.array(self.examined(level).strange, dtype=np.int64)
