@@ -1,0 +1,27 @@
+"""The report on the house: what it says of circles and of who imports whom."""
+
+from benchmarks.house import ROOT, Module, circles, modules
+
+
+def module(name, text):
+    return Module(name, ROOT / "bench" / "room" / f"{name}.py", text)
+
+
+def test_circles_are_components_with_more_than_one_module():
+    edges = {"a": ["b"], "b": ["c"], "c": ["a", "d"], "d": [], "e": ["f"], "f": ["e"], "g": ["a"]}
+    assert circles(edges) == [["a", "b", "c"], ["e", "f"]]
+
+
+def test_an_import_inside_a_function_is_told_apart_from_one_of_the_module():
+    known = {name: module(name, "") for name in ("b", "c", "d")}
+    text = "from b import x\nif TYPE_CHECKING:\n    import c\n\ndef f():\n    from d import y\n"
+    known["a"] = module("a", text)
+    assert sorted(known["a"].imported(known, inner=False)) == ["b", "c"]
+    assert sorted(known["a"].imported(known, inner=True)) == ["b", "c", "d"]
+
+
+def test_the_program_is_found_whole():
+    known = modules()
+    assert {"bench", "bench.base.arrays", "drivers.clock", "sim.world"} <= set(known)
+    assert known["bench.base.arrays"].room == "bench/base"
+    assert all(other in known for one in known.values() for other in one.imported(known, inner=True))
