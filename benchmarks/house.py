@@ -1,7 +1,7 @@
 """How large the program is and how far its parts hang together: a report, no gate.
 
-Lines, files and medians a room, files that are long or small, import circles (module level, `TYPE_CHECKING`, and with
-imports inside functions), modules that one other imports, and the files that four commands run through:
+Lines, files and medians of each room; files that are long or small; import circles at module level and with imports
+inside functions; modules that one other imports; the files that four commands run through:
 
     python -m benchmarks.house            # about a minute; --no-paths leaves the commands out
 """
@@ -189,7 +189,7 @@ def print_paths() -> None:
             (folder / file).write_bytes((ROOT / "config" / "certificate" / file).read_bytes())
         for command, arguments in COMMANDS.items():
             answer = folder / "answer.json"
-            subprocess.run(
+            subprocess.run(  # noqa: S603 - this Python, on our own commands
                 [sys.executable, "-c", PROBE, str(ROOT), str(answer), *arguments],
                 cwd=folder,
                 env=os.environ | {"PYTHONPATH": str(ROOT)},
