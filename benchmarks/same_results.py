@@ -1,0 +1,276 @@
+"""Whether two versions of the program give the same results: everything stored, then compared.
+
+    python -m benchmarks.same_results store OLD --program /path/of/old/.venv/bin/bench --seeds 50
+    python -m benchmarks.same_results store NEW --program .venv/bin/bench --seeds 50
+    python -m benchmarks.same_results compare OLD NEW
+
+`store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every command
+that evaluates them. It calls the program as a user does, so that it can store what an older version gives.
+`compare` asks that JSON and XML have the same members, texts and integers, and that numbers agree to 1e-9 of the
+largest number beside them. Of pages it compares the numbers of the text and the plotted data. Texts that differ in
+words alone are listed as reworded, which is no difference. `IGNORED` lists what is left out. The exit status is 1
+where anything differs. A draft's XML is compared as taken from its PDF by `pdfdetach`, where that is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+
+RELATIVE: Final = 1e-9
+PROCEDURES: Final = ("paper", "quick", "calibration", "paper", "turn-12", "remount-180")
+COMMANDS: Final = {
+    "calibrate": "calibrate r",
+    "calibrate-closed-form": "calibrate r --estimator closed-form",
+    "calibrate-robust": "calibrate r --estimator robust --join-verification",
+    "calibrate-together": "calibrate r s",
+    "verify": "verify r",
+    "verify-simple": "verify r --rule simple",
+    "diagnose": "diagnose r --out diagnosis",
+    "budget": "budget --procedure quick --trials 2200",
+    "require": "require --accuracy 3e-4 --procedure quick",
+    "plan-points": "plan-points --u all=2e-4",
+    "check": "check paper",
+    "runs": "runs",
+    "show": "show r --verify",
+    "compare": "compare r s",
+    "tumble": "tumble r",
+    "report": "report r",
+    "coefficients": "coefficients r --as all --out coefficients",
+    "certificate": "certificate issue r --draft --out draft",
+    "learn": "learn r s --out learned.yaml",
+}
+"""The commands, by the name under which their results are stored; each also writes `--json`."""
+FREE_OF_SEED: Final = {"budget", "require", "plan-points", "check"}
+IGNORED: Final = (
+    r"(^|[._])(created|made|time|when|date|begun|ended|at|took|takes|age|elapsed|duration)(_s|_utc|_at)?$",
+    r"(^|[._])(versions?|program|python|platform|packages?|hash|sha256|head|chain|digest|id|uuid|pid|host|user)$",
+    r"(^|[._])(path|folder|file|files|page|report|model_file)$",
+    r"[Ss]ignature|[Ii]dentifier|release|[Tt]imestamp",
+)
+"""Members whose values are not compared (times, versions, identifiers, places, signatures); their presence is."""
+_NUMBER: Final = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_TIME: Final = re.compile(
+    r"\d{4}-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:\d\d)?)?|\d\d:\d\d(?::\d\d)?"
+)
+
+
+def store(folder: Path, program: str, seeds: int) -> None:
+    """Store what a program gives for so many seeds; what is there already is kept."""
+    for seed in range(1, seeds + 1):
+        place = folder / f"seed-{seed:03}"
+        if (place / "done").exists():
+            continue
+        place.mkdir(parents=True, exist_ok=True)
+        procedure = PROCEDURES[seed % len(PROCEDURES)]
+        for run, its_seed in (("r", seed), ("s", 1000 + seed)):
+            _call(program, place, f"run-{run}", f"run {procedure} --dry-run --seed {its_seed} --name {run}")
+        for name, words in COMMANDS.items():
+            if seed == 1 or name not in FREE_OF_SEED:
+                _call(program, place, name, f"{words} --json {name}.json")
+        _call(program, place, "export", "export r --csv readings.csv")
+        (place / "done").touch()
+        print(f"seed {seed} of {seeds}", flush=True)
+
+
+def _call(program: str, place: Path, name: str, words: str) -> None:
+    done = subprocess.run([program, *words.split()], cwd=place, capture_output=True, text=True, check=False)  # noqa: S603
+    (place / f"{name}.status").write_text(f"{done.returncode}\n", encoding="utf-8")
+    (place / f"{name}.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
+
+
+class Differences:
+    """What differs, and what is only reworded, as lines."""
+
+    def __init__(self) -> None:
+        self.different: list[str] = []
+        self.reworded: list[str] = []
+
+    def values(self, where: str, one: Any, other: Any, scale: float = 0.0) -> None:
+        """Compare two JSON values; numbers of a list agree to `RELATIVE` of its largest."""
+        if any(re.search(pattern, where) for pattern in IGNORED) and (one is None) == (other is None):
+            return
+        match one, other:
+            case dict(), dict():
+                if one.keys() != other.keys():
+                    self.different.append(f"{where}: members {sorted(one.keys() ^ other.keys())}")
+                for key in one.keys() & other.keys():
+                    self.values(f"{where}.{key}", one[key], other[key])
+            case list(), list():
+                if len(one) != len(other):
+                    self.different.append(f"{where}: {len(one)} and {len(other)} items")
+                largest = max((abs(x) for x in _floats(one)), default=0.0)
+                for index, pair in enumerate(zip(one, other, strict=False)):
+                    self.values(f"{where}[{index}]", *pair, scale=max(scale, largest))
+            case float(), float():
+                if not math.isclose(one, other, rel_tol=RELATIVE, abs_tol=RELATIVE * scale):
+                    self.different.append(f"{where}: {one!r} and {other!r}")
+            case str(), str():
+                self.text(where, one, other)
+            case _:
+                if one != other or type(one) is not type(other):
+                    self.different.append(f"{where}: {one!r} and {other!r}")
+
+    def text(self, where: str, one: str, other: str) -> None:
+        """Compare two texts: their numbers must agree; where words alone differ, they are reworded."""
+        if one == other:
+            return
+        mine, theirs = (
+            [_number(found) for found in _NUMBER.findall(_TIME.sub("", text))] for text in (one, other)
+        )
+        sentence = " " in one.strip() and " " in other.strip()
+        if sentence and len(mine) == len(theirs) and all(map(_near, mine, theirs)):
+            self.reworded.append(f"{where}: {one[:100]!r} is {other[:100]!r}")
+        else:
+            self.different.append(f"{where}: {one[:100]!r} and {other[:100]!r}")
+
+
+def _floats(value: Any) -> Iterator[float]:
+    if isinstance(value, list):
+        for item in value:
+            yield from _floats(item)
+    elif isinstance(value, float) and math.isfinite(value):
+        yield value
+
+
+def _number(text: str) -> float:
+    return float(text.replace("−", "-"))
+
+
+def _near(one: float, other: float) -> bool:
+    return math.isclose(one, other, rel_tol=RELATIVE, abs_tol=1e-300)
+
+
+class Page(HTMLParser):
+    """The text of a page, line by line, and the data of its plots."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+        self.plotted: list[list[float]] = []
+        self._hidden = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Take the coordinates of lines and markers."""
+        if tag in {"style", "script", "metadata"}:
+            self._hidden = tag
+        told = dict(attrs)
+        for name in ("d", "points", "x", "y", "transform"):
+            if numbers := _NUMBER.findall(told.get(name) or ""):
+                self.plotted.append([_number(found) for found in numbers])
+
+    def handle_endtag(self, tag: str) -> None:
+        """End what is not shown."""
+        if tag == self._hidden:
+            self._hidden = ""
+
+    def handle_data(self, data: str) -> None:
+        """Take the text that is shown."""
+        if not self._hidden and data.strip():
+            self.lines.append(" ".join(data.split()))
+
+
+def _compare_json(found: Differences, where: str, one: Path, other: Path) -> None:
+    mine, theirs = (json.loads(path.read_text(encoding="utf-8")) for path in (one, other))
+    found.values(where, mine, theirs)
+
+
+def _compare_page(found: Differences, where: str, one: Path, other: Path) -> None:
+    mine, theirs = (Page(path.read_text(encoding="utf-8")) for path in (one, other))
+    found.values(f"{where}:plots", mine.plotted, theirs.plotted)
+    found.text(where, "\n".join(mine.lines), "\n".join(theirs.lines))
+
+
+def _compare_xml(found: Differences, where: str, one: Path, other: Path) -> None:
+    mine, theirs = (list(_leaves(ElementTree.parse(path).getroot())) for path in (one, other))  # noqa: S314 - ours
+    found.values(f"{where}:elements", [name for name, _ in mine], [name for name, _ in theirs])
+    for (name, text), (_, said) in zip(mine, theirs, strict=False):
+        found.values(f"{where}:{name}", text, said)
+
+
+def _leaves(element: ElementTree.Element, path: str = "") -> Iterator[tuple[str, str]]:
+    here = f"{path}.{element.tag.rpartition('}')[2]}"
+    yield here, (element.text or "").strip()
+    for child in element:
+        yield from _leaves(child, here)
+
+
+def _compare_table(found: Differences, where: str, one: Path, other: Path) -> None:
+    mine, theirs = (list(csv.reader(path.read_text(encoding="utf-8").splitlines())) for path in (one, other))
+    found.values(where, mine, theirs)
+
+
+def _compare_events(found: Differences, where: str, one: Path, other: Path) -> None:
+    """Compare records: event by event, without hashes and civil times."""
+    mine, theirs = (
+        [json.loads(line) for line in p.read_text(encoding="utf-8").splitlines()] for p in (one, other)
+    )
+    found.values(where, mine, theirs)
+
+
+def _compare_text(found: Differences, where: str, one: Path, other: Path) -> None:
+    found.text(where, one.read_text(encoding="utf-8"), other.read_text(encoding="utf-8"))
+
+
+COMPARED: Final[dict[str, Callable[[Differences, str, Path, Path], None]]] = {
+    ".json": _compare_json,
+    ".html": _compare_page,
+    ".xml": _compare_xml,
+    ".csv": _compare_table,
+    ".jsonl": _compare_events,
+    ".status": _compare_text,
+    ".h": _compare_text,
+}
+"""How files are compared, by suffix. Others (PDF, logs, what is printed) are held to be there alone."""
+
+
+def compare(one: Path, other: Path) -> Differences:
+    """Compare two stores file by file."""
+    found = Differences()
+    mine, theirs = ({p.relative_to(top) for p in top.rglob("*") if p.is_file()} for top in (one, other))
+    found.different += [f"{path}: in one store alone" for path in sorted(mine ^ theirs)]
+    for path in sorted(mine & theirs):
+        if how := COMPARED.get(path.suffix):
+            how(found, str(path), one / path, other / path)
+    return found
+
+
+def main() -> None:
+    """Store or compare."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    does = parser.add_subparsers(dest="does", required=True)
+    storing = does.add_parser("store")
+    storing.add_argument("folder", type=Path)
+    storing.add_argument("--program", default="bench")
+    storing.add_argument("--seeds", type=int, default=50)
+    comparing = does.add_parser("compare")
+    comparing.add_argument("one", type=Path)
+    comparing.add_argument("other", type=Path)
+    given = parser.parse_args()
+    if given.does == "store":
+        store(given.folder, given.program, given.seeds)
+        return
+    found = compare(given.one, given.other)
+    for line in found.reworded:
+        print(f"reworded  {line}")
+    for line in found.different:
+        print(f"different {line}")
+    print(f"{len(found.different)} differences, {len(found.reworded)} reworded texts")
+    sys.exit(1 if found.different else 0)
+
+
+if __name__ == "__main__":
+    main()

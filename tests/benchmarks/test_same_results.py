@@ -1,0 +1,57 @@
+"""The comparer of two versions' results: what it calls different, and what it does not."""
+
+import json
+
+import pytest
+
+from benchmarks.same_results import Differences, compare
+
+
+def differences(one, other):
+    found = Differences()
+    found.values("x", one, other)
+    return found.different
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "different"),
+    [
+        ({"u": 1.0}, {"u": 1.0 + 5e-10}, False),
+        ({"u": 1.0}, {"u": 1.0 + 2e-9}, True),
+        ({"covariance": [[1.0, 1e-20]]}, {"covariance": [[1.0, -1e-20]]}, False),
+        ({"u": 1.0}, {"u": 1.0, "k": 2.0}, True),
+        ({"n": 3}, {"n": 3.0}, True),
+        ({"passed": True}, {"passed": 1}, True),
+        ({"verdict": "pass"}, {"verdict": "fail"}, True),
+        ({"created": "2026-11-23T10:00:00Z"}, {"created": "2026-11-24T11:00:00Z"}, False),
+        ({"created": "2026-11-23T10:00:00Z"}, {}, True),
+        ({"note": "noise of 3.1 uV"}, {"note": "the noise is 3.1 uV"}, False),
+        ({"note": "noise of 3.1 uV"}, {"note": "noise of 3.2 uV"}, True),
+        ({"p": None}, {"p": 0.5}, True),
+    ],
+)
+def test_what_counts_as_a_difference(one, other, different):
+    assert bool(differences(one, other)) is different
+    assert bool(differences(other, one)) is different
+
+
+def test_pages_differ_by_their_numbers_and_by_what_is_plotted(tmp_path):
+    def stored(name, text, path):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "r.html").write_text(f'<p>{text}</p><svg><path d="M 1 {path}"/></svg>', encoding="utf-8")
+        (folder / "r.json").write_text(json.dumps({"u": 1.0}), encoding="utf-8")
+        return folder
+
+    first = stored("a", "u = 3.1 uV of noise", 2.0)
+    reworded = compare(first, stored("b", "noise u = 3.1 uV", 2.0))
+    assert (reworded.different, len(reworded.reworded)) == ([], 1)
+    assert compare(first, stored("c", "u = 3.2 uV of noise", 2.0)).different
+    assert compare(first, stored("d", "u = 3.1 uV of noise", 2.1)).different
+
+
+def test_a_file_that_one_store_lacks_is_a_difference(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    (tmp_path / "a" / "verify.json").write_text("{}", encoding="utf-8")
+    assert compare(tmp_path / "a", tmp_path / "b").different == ["verify.json: in one store alone"]
