@@ -45,7 +45,7 @@ from bench.run.record import Record, is_being_written
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
 from bench.run.signals import Interrupts
-from bench.run.states import ENDED
+from bench.run.states import ENDED, RunState
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.watch.of_plan import watcher_of
 from bench.run.way_out import with_notes
@@ -195,12 +195,18 @@ def _free_name(procedure: str, runs: Path) -> str:
     return name
 
 
-def unfinished_run(name: str | None, runs: Path) -> Run:
-    """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another."""
+def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
+    """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another.
+
+    With `results_too` it may be one that has finished and lacks results, where none waits to be gone on with.
+    """
     if name is None:
         digests = Digests(runs)
-        waiting = [run for run in all_runs(runs) if _waits(run, digests)]
+        states = [(run, _idle_at(run, digests)) for run in all_runs(runs)]
         digests.save()
+        waiting = [run for run, state in states if state is not None and state not in ENDED]
+        if results_too and not waiting:
+            waiting = [run for run, state in states if _lacks_results(run, state)]
         if not waiting:
             raise Refused(f"{runs}: no unfinished run there")
         return waiting[-1]
@@ -211,23 +217,33 @@ def unfinished_run(name: str | None, runs: Path) -> Run:
 
 
 def taken_up(
-    run: Run, shield: Callable[[], AbstractContextManager[None]] = nullcontext
+    run: Run,
+    shield: Callable[[], AbstractContextManager[None]] = nullcontext,
+    *,
+    results_too: bool = False,
 ) -> tuple[Record, History]:
-    """Open a run to go on with it. Raises `Refused` for one that has ended, `RecordError` as `Record.reopen`."""
+    """Open a run to go on with it; with `results_too` it may have finished and lack results.
+
+    Raises `Refused` for another that has ended, `RecordError` as `Record.reopen`.
+    """
     record, history = Record.reopen(run.folder, utc_now, shield)
-    if history.state in ENDED:
+    if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
         record.close()
         raise Refused(f"{run.name}: nothing to do, the run is {history.state}")
     return record, history
 
 
-def _waits(run: Run, digests: Digests) -> bool:
-    """Whether a run was begun here, has not ended, and nobody is carrying it out."""
+def _lacks_results(run: Run, state: RunState | None) -> bool:
+    return state is RunState.FINISHED and run.results_missing
+
+
+def _idle_at(run: Run, digests: Digests) -> RunState | None:
+    """Return the state of a run that was begun here and that nobody is carrying out, None for another."""
     try:
-        waits = not run.imported and digests.of(run).state not in ENDED
+        state = None if run.imported else digests.of(run).state
     except (RecordError, ValueError):
-        return False
-    return waits and not is_being_written(run.folder)
+        return None
+    return None if is_being_written(run.folder) else state
 
 
 def carry_out(
@@ -379,7 +395,7 @@ def _refuse_renamed(record: Record) -> None:
     again = place or "FOLDER"
     raise Refused(
         f"{record.folder}: the run is finished and recorded, but its folder was renamed or moved ({now}); "
-        f"'bench report {again}' makes its results there"
+        f"'bench resume {again}' makes its results there"
     )
 
 

@@ -76,9 +76,8 @@ def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
     if run.imported:
         return "imported", ""
     state = digest.state
-    if state in ENDED:
-        return state.value, ""
-    if is_being_written(run.folder):
+    wanted = run.results_missing if state is RunState.FINISHED else state not in ENDED
+    if not wanted or is_being_written(run.folder):
         return state.value, ""
     alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
     return alive.get(state, state.value), f"bench resume {run.name}"

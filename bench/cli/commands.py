@@ -11,7 +11,7 @@ from typer.main import get_command_from_info, get_group
 
 COMMANDS: Final = {
     "run": "Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report.",
-    "resume": "Go on with an interrupted run at the first point without a reading.",
+    "resume": "Go on with an interrupted run at the first point without a reading; make the results that it lacks.",
     "abort": "End an interrupted run for good; its record is kept.",
     "control": "Ask something of a run that another program is carrying out;"
     " typed at a prompt it is :pause, :redo, …",

@@ -11,13 +11,15 @@ if TYPE_CHECKING:
     from types import FrameType
 
 _STOPPED = 2
+_SAID = "stopped by Ctrl-C"
 
 
 def main() -> None:
     """Run the command line of `sys.argv` and exit with its status.
 
-    Even the import of the commands takes long enough to be interrupted. Further ones, after the first, come while
-    that is told: they are not heard. What must be left safe hears signals by itself (`bench.run.signals`).
+    Even the import of the commands takes long enough to be interrupted. A second one ends the program at once;
+    those that come while that is told are not heard. What must be left safe hears signals by itself
+    (`bench.run.signals`).
     """
     try:
         try:
@@ -25,15 +27,19 @@ def main() -> None:
             if isinstance(sys.stdout, io.TextIOWrapper):
                 # a terminal that knows no µ is no reason to stop
                 sys.stdout.reconfigure(errors="backslashreplace")
-            from bench.cli.app import main as command_line
+            from bench.run.signals import Interrupts
 
-            command_line()
+            with Interrupts([signal.SIGINT]) as interrupts:
+                interrupts.release(_SAID)
+                from bench.cli.app import main as command_line
+
+                command_line()
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
     except KeyboardInterrupt as stop:
         if isinstance(stop.__context__, SystemExit):
             raise stop.__context__ from None  # it came when the program was done, with its own status
-        print("bench: stopped by Ctrl-C", file=sys.stderr)
+        print(f"bench: {_SAID}", file=sys.stderr)
         sys.exit(_STOPPED)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from bench.cli.options import (
     app,
 )
 from bench.cli.panel import link_to
-from bench.cli.run import conclude, is_away
+from bench.cli.run import is_away, make_results
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,38 +36,37 @@ def resume(
     json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
-    """Go on with an interrupted run at the first point without a reading."""
+    """Go on with an interrupted run at the first point without a reading; make the results that it lacks."""
     from bench.api.execution import carry_out, refuse_missing_devices, taken_up, unfinished_run
     from bench.api.heard import heard_in
     from bench.run.control import ControlFile
     from bench.run.folder import Run
     from bench.run.listening import WishListener
     from bench.run.signals import Interrupts
+    from bench.run.states import RunState
     from drivers.wire.log import logged_wire
 
     printing.check_target(json)
     away = is_away(answers, panel=panel)
-    found = unfinished_run(name, runs)
+    found = unfinished_run(name, runs, results_too=True)
     refuse_missing_devices(found)
     out = printing.console(json=json)
     if panel:
         out.print(f"panel: {link_to(found.name, found.folder.parent)}", soft_wrap=True)
-    with (
-        logged_wire(wire_log) as wire,
-        Interrupts() as interrupts,
-        WishListener(ControlFile(found.folder)) as wishes,
-    ):
-        record, history = taken_up(found, interrupts.shield)
-        try:
+    with Interrupts() as interrupts:
+        record, history = taken_up(found, interrupts.shield, results_too=True)
+        with (
+            closing(record),
+            logged_wire(wire_log) as wire,
+            WishListener(ControlFile(found.folder)) as wishes,
+        ):
             if history.torn:
                 printing.notes_aside(["the last line of the record was half written and is dropped"])
-            heard = heard_in(found, record, history, wishes, out, away=away)
-            _accept_changes(found, heard.asker, out)
-        except BaseException:
-            record.close()
-            raise
-        carry_out(found, record, history, wire, out, interrupts, heard)
-    return conclude(Run(found.folder), json)
+            if history.state is not RunState.FINISHED:
+                heard = heard_in(found, record, history, wishes, out, away=away)
+                _accept_changes(found, heard.asker, out)
+                carry_out(found, record, history, wire, out, interrupts, heard)
+        return make_results(Run(found.folder), json, interrupts)
 
 
 def _accept_changes(run: Run, asker: Asker | None, out: Console) -> None:

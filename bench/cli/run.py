@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from bench.api.source import Source
     from bench.run.folder import Run
     from bench.run.manifest import VerdictAsked
+    from bench.run.signals import Interrupts
+
+_MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
+"""What may be made of a finished run."""
 
 
 @app.command(epilog="Example: bench run calibration --bench my-bench.yaml --name unit-17")
@@ -128,17 +132,14 @@ def run(
         printing.notes_on(out, new.notes)
         if panel:
             out.print(f"panel: {link_to(new.folder.name, runs)}", soft_wrap=True)
-        with (
-            logged_wire(wire_log) as wire,
-            Interrupts() as interrupts,
-            WishListener(ControlFile(new.folder)) as wishes,
-        ):
-            record = new.record(interrupts.shield)
-            begun = Run(new.folder)
-            heard = heard_in(begun, record, None, wishes, out, away=away)
-            carry_out(begun, record, None, wire, out, interrupts, heard)
-        done = Run(new.folder)
-        return done, conclude(done, json)
+        with Interrupts() as interrupts:
+            with logged_wire(wire_log) as wire, WishListener(ControlFile(new.folder)) as wishes:
+                record = new.record(interrupts.shield)
+                begun = Run(new.folder)
+                heard = heard_in(begun, record, None, wishes, out, away=away)
+                carry_out(begun, record, None, wire, out, interrupts, heard)
+            done = Run(new.folder)
+            return done, make_results(done, json, interrupts)
 
     done, status = carried_out(procedure, name, seed)
     if not follow:
@@ -192,6 +193,17 @@ def is_away(answers: str | None, *, panel: bool) -> bool:
     return answers == "folder" or (panel and answers is None and not sys.stdin.isatty())
 
 
+def make_results(run: Run, target: str | None, interrupts: Interrupts) -> int:
+    """Conclude a run whose bench is safe; `resume` does so again after a signal. Raises `Refused` for one."""
+    kept = f"all readings are kept in {run.folder}"
+    again = f"stopped before the results were made; {kept}, and 'bench resume {run.name}' makes the results"
+    try:
+        interrupts.release(again)
+        return conclude(run, target)
+    except KeyboardInterrupt:
+        raise Refused(again if run.results_missing else f"stopped; {kept} with their results") from None
+
+
 def conclude(run: Run, target: str | None = None) -> int:
     """Calibrate, verify and report a finished run; 1 when the verification failed, or a check is out of control.
 
@@ -200,15 +212,21 @@ def conclude(run: Run, target: str | None = None) -> int:
     A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
     """
     from bench.api.source import Request, load_sources
+    from bench.base.whole import to_text, write_whole
+    from bench.run.folder import RESULTS
 
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     try:
-        return max(_draw(run, source, target), charted(run, printing.console(json=target)))
+        write_whole(run.folder / RESULTS, to_text({"made": None}))
+        status = max(_draw(run, source, target), charted(run, printing.console(json=target)))
+        made = [name for name in _MADE if (run.folder / name).is_file()]
+        write_whole(run.folder / RESULTS, to_text({"made": made}))
     except OSError as error:
         raise Refused(
             f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
-            f"then 'bench report {run.name}' makes it again"
+            f"then 'bench resume {run.name}' makes its results"
         ) from error
+    return status
 
 
 def _draw(run: Run, source: Source, target: str | None) -> int:

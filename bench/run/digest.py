@@ -22,7 +22,7 @@ from bench.run.manifest import EVENTS, MANIFEST, sha256
 from bench.run.states import RunState
 from drivers.clock import utc_now
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 """One more with every change in what is kept, or in what makes a record a damaged one."""
 
 SETTLED_S: Final = 2.0

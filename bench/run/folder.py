@@ -24,6 +24,9 @@ EFFECTS = "effects.yaml"
 LEARNED = "learned.yaml"
 IMPORTED = "readings.csv"
 VERIFY = "verify"
+RESULTS = "results.json"
+"""Names what was made of a finished run: `made`, null until all of it is there."""
+REPORT = "report.html"
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,17 @@ class Run:
     def asks_somebody(self) -> bool:
         """Whether a living person answers the questions of the run, and no scripted one."""
         return not self.simulated or bool(self.manifest.get("living"))
+
+    @property
+    def results_missing(self) -> bool:
+        """Whether of what is made of the run when it has finished not all is there."""
+        try:
+            made = read_json((self.folder / RESULTS).read_bytes())["made"]
+            return made is None or not all((self.folder / Path(name).name).is_file() for name in made)
+        except FileNotFoundError:  # a version before wrote the page and no such list
+            return not (self.folder / REPORT).is_file()
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return True
 
     def trusted_history(self) -> History:
         """Return the history. Raises `RecordError` when a line or an input was changed."""

@@ -6,27 +6,17 @@ where nobody listens: a thread of its own looks into the folder, and interrupts 
 
 from __future__ import annotations
 
-import _thread
-import signal
 import threading
 from collections import deque
 from collections.abc import Callable
 from typing import Final
 
 from bench.run.control import ControlFile, RunControl, Stopped
+from bench.run.signals import interrupt_main
 from bench.run.states import Wish
 
 LISTEN_S: Final = 0.1
 """So often is looked for what was left in a run's folder."""
-
-
-def interrupt_main() -> None:
-    """Do to the main thread what Ctrl-C does, also where it waits for the system."""
-    main = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and main is not None:
-        signal.pthread_kill(main, signal.SIGINT)
-    else:
-        _thread.interrupt_main()
 
 
 class WishListener:

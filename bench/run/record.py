@@ -10,6 +10,7 @@ derived from these and can be made again.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -24,11 +25,14 @@ from bench.base.visible import in_json
 from bench.run.events import Event, EventType
 from bench.run.history import History, read_history
 from bench.run.manifest import EVENTS, FORMAT, MANIFEST, Manifest, RecordError, sha256
+from bench.run.states import RunState, state_after_one
 
 WITH_THE_NEXT: Final = frozenset(
     {EventType.STEP_STARTED, EventType.ASKED, EventType.ANSWERED, EventType.ANSWER_REFUSED}
 )
 """Events that are not waited for until they are on the disk."""
+
+_FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 Shield = Callable[[], AbstractContextManager[None]]
 
@@ -36,11 +40,13 @@ Shield = Callable[[], AbstractContextManager[None]]
 class Record:
     """The writer of a run's events. One program writes a run at a time.
 
+    `state` is what its events have led to; an event that cannot follow is not written.
     `shield` makes a context within which no signal interrupts the program.
     """
 
     def __init__(self, folder: Path, now: Callable[[], datetime], shield: Shield = nullcontext) -> None:
         self.folder = folder
+        self.state = RunState.READY
         self._now = now
         self._shield = shield
         self._last_hash, self._count, self._length = "", 0, 0
@@ -73,10 +79,7 @@ class Record:
             "files": {name: sha256(content) for name, content in inputs.items()},
         }
         text = in_json(json.dumps(manifest, indent=1, ensure_ascii=False)).encode()
-        try:
-            _make_folder(folder, {**inputs, MANIFEST: text})
-        except OSError as error:
-            raise _cannot_write(folder, error) from error
+        _make_folder(folder, {**inputs, MANIFEST: text})
         record = cls(folder, now, shield)
         record._last_hash = sha256(text)
         return record
@@ -105,6 +108,7 @@ class Record:
 
     def _go_on_after(self, history: History) -> None:
         """Take up where a history ends, which was read while this record held the file."""
+        self.state = history.state
         self._last_hash, self._count, self._length = history.head, len(history.events), history.length
         if history.torn:
             self._cut_back()
@@ -118,12 +122,13 @@ class Record:
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event; in the file, and save for those of `WITH_THE_NEXT` on the disk, when this returns.
 
-        Raises `RecordError` (disk full, …).
+        Raises `RecordError` (disk full, …), and `ValueError` for an event that cannot follow on the state.
         """
         with self._shield():
             return self._append(kind, bench_s, data)
 
     def _append(self, kind: str, bench_s: float, data: dict[str, Any]) -> Event:
+        state = state_after_one(self.state, kind)
         if self._half_written:
             self._cut_back()
         self._check_place()
@@ -139,7 +144,7 @@ class Record:
             raise _cannot_write(self.folder, error) from error
         self._last_hash = sha256(line)
         self._length += len(line) + 1
-        self._count = event.number
+        self._count, self.state = event.number, state
         return event
 
     def _check_place(self) -> None:
@@ -236,19 +241,28 @@ def is_being_written(folder: Path) -> bool:
 
 
 def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
-    """Make a folder with its files, there whole or not at all. Raises `OSError`, `RecordError`."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    if folder.exists():
-        raise RecordError(f"{folder}: there is a run of that name; choose another with --name")
-    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    """Make a folder with its files, there whole or not at all. Raises `RecordError`."""
+    part: Path | None = None
     try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        _refuse_taken(folder)
+        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
         for name, content in files.items():
             _write_durably(part / name, content)
         part.chmod(0o755)
         part.rename(folder)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
+    except OSError as error:
+        _refuse_taken(folder)  # another program has made it meanwhile
+        raise _cannot_write(folder, error) from error
+    finally:
+        if part is not None:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def _refuse_taken(folder: Path) -> None:
+    if os.path.lexists(folder):
+        kind = "run" if (folder / MANIFEST).is_file() else "file or folder"
+        raise RecordError(f"{folder}: there is a {kind} of that name; choose another with --name")
 
 
 def _write_durably(path: Path, content: bytes) -> None:
@@ -259,7 +273,8 @@ def _write_durably(path: Path, content: bytes) -> None:
 
 
 def _cannot_write(folder: Path, error: OSError) -> RecordError:
+    remedy = "free the disk, or " if error.errno in _FULL else ""
     return RecordError(
         f"{folder}: cannot be written ({error.strerror or error}); what was recorded before is kept; "
-        "free the disk, or choose another folder with --runs"
+        f"{remedy}choose another folder with --runs"
     )

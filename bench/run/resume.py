@@ -214,6 +214,14 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
     return step
 
 
+def is_still_to_be_read(plan: Plan, progress: Progress, step: int) -> bool:
+    """Whether a reading is still to come before the block is mounted next, from `step` on."""
+    for index in range(step, len(plan.steps)):
+        if not progress.settled(index) and isinstance(plan.steps[index], Mount | Read):
+            return isinstance(plan.steps[index], Read)
+    return False
+
+
 def latest_turn(plan: Plan, progress: Progress, step: int) -> int:
     """The turn that was begun last in time before `step`, with nothing mounted since; `step` where there is none.
 

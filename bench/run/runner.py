@@ -35,7 +35,7 @@ from bench.run.power import Feeding, UnitPower
 from bench.run.power_up import begin, take_up
 from bench.run.prompts import confirm
 from bench.run.record import Record
-from bench.run.resume import Progress, ResumePoint, end_of_point
+from bench.run.resume import Progress, ResumePoint, end_of_point, is_still_to_be_read
 from bench.run.same_serial import agree_to_others, same_serials
 from bench.run.settling import Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
@@ -99,7 +99,6 @@ class Runner:
     asker: Asker | None = None
     stopped: Callable[[], RunControl | None] = lambda: None
     choose: Callable[[int, Progress], dict[str, Any] | None] = lambda index, progress: None
-    state: RunState = RunState.READY
     _zero_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -154,7 +153,7 @@ class Runner:
         serials = {name: identity.serial for name, identity in opened.items()}
         known = {} if self.certificates is None else {"serials": serials}
         begun = EventType.RUN_RESUMED if resume else EventType.RUN_STARTED
-        self._change(begun, step=start, instruments=identities, **known)
+        self._emit(begun, step=start, instruments=identities, **known)
         for words in same_serials(opened):
             self._emit(EventType.SAME_SERIAL, words=words)
         for words in self.certificates(serials) if self.certificates is not None else ():
@@ -164,7 +163,7 @@ class Runner:
         elif self._workbench.power is not None:
             self._insist(partial(begin, self.plan, self._workbench.switch))
         self._carry_out(start)
-        self._change(EventType.RUN_FINISHED)
+        self._emit(EventType.RUN_FINISHED)
 
     def _carry_out(self, start: int) -> None:
         index = start
@@ -198,10 +197,6 @@ class Runner:
 
     # --- the life of a run ---------------------------------------------------------------------------
 
-    def _change(self, event: EventType, **data: Any) -> None:
-        self.state = TRANSITIONS[self.state][event]
-        self._emit(event, **data)
-
     def _way_out(self, cause: BaseException | None) -> None:
         """Leave the bench safe, then record how the run stopped and what a person must still do."""
         to_do = leave_safe(self.instruments, self._workbench.demanded_c, self._workbench.power)
@@ -222,8 +217,8 @@ class Runner:
         if cause is None or isinstance(cause, RecordError | RunAborted):
             return
         event, data = how_it_stopped(cause, self.stopped())
-        if event in TRANSITIONS[self.state]:
-            self._change(event, **data)
+        if event in TRANSITIONS[self.record.state]:
+            self._emit(event, **data)
 
     def _emit(self, kind: EventType, /, **data: Any) -> None:
         event = self.record.append(kind, self._now_s(), **data)
@@ -248,7 +243,7 @@ class Runner:
             last = next((step for step in reversed([*kept]) if isinstance(step, kind)), None)
             if isinstance(last, SetTemperature):
                 self._insist(partial(self._workbench.set_temperature, last))
-            elif isinstance(last, Mount):
+            elif isinstance(last, Mount) and is_still_to_be_read(self.plan, self.progress, resume.step):
                 self._insist(partial(self._remount, last))
             elif isinstance(last, SelectInput) and last.source != "signal":
                 self._insist(partial(self._workbench.execute, last))
@@ -309,13 +304,13 @@ class Runner:
         """Do as the person wishes at step `index`; return the step to go on with."""
         if control.by_person and control.who == NOBODY_KNOWN:
             control = replace(control, who=self._answerer())
-        if control.wish not in HEARD[self.state]:
-            return self._refuse(control, index, f"the run is {self.state}")
+        if control.wish not in HEARD[self.record.state]:
+            return self._refuse(control, index, f"the run is {self.record.state}")
         match control.wish:
             case Wish.PAUSE:
                 return self._pause(control, index)
             case Wish.CONTINUE:
-                self._change(EventType.RUN_CONTINUED, **control.who.to_json())
+                self._emit(EventType.RUN_CONTINUED, **control.who.to_json())
                 return index
             case Wish.REPEAT_POINT | Wish.REPEAT_PASS | Wish.MOUNT_AGAIN:
                 return self._redo(control, index)
@@ -331,7 +326,7 @@ class Runner:
                 raise Stopped(control)
 
     def _aborted(self, control: RunControl) -> RunAborted:
-        self._change(EventType.RUN_ABORTED, **control.told())
+        self._emit(EventType.RUN_ABORTED, **control.told())
         return RunAborted(control.reason)
 
     def _refuse(self, control: RunControl, index: int, why: str) -> int:
@@ -340,17 +335,17 @@ class Runner:
 
     def _pause(self, pause: RunControl, index: int) -> int:
         """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
-        self._change(EventType.RUN_PAUSED, **pause.told())
+        self._emit(EventType.RUN_PAUSED, **pause.told())
         ask = pause.by_person or self.asker is not None
-        while self.state is RunState.PAUSED:
+        while self.record.state is RunState.PAUSED:
             control = self._asked() if ask else self.controls.poll()
             if control is None:
                 self._workbench.watch_rails("paused")
                 self.patience.sleep(NAP_S)
                 continue
             after = self._obey(control, index)
-            if self.state is RunState.PAUSED and after != index:
-                self._change(EventType.RUN_CONTINUED, **control.who.to_json())
+            if self.record.state is RunState.PAUSED and after != index:
+                self._emit(EventType.RUN_CONTINUED, **control.who.to_json())
             index = after
         return index
 

@@ -21,31 +21,34 @@ class RunState(StrEnum):
     ABORTED = "aborted"
 
 
-_ABORTED: Final[Mapping[str, RunState]] = {EventType.RUN_ABORTED: RunState.ABORTED}
-_TAKEN_UP: Final[Mapping[str, RunState]] = {EventType.RUN_RESUMED: RunState.RUNNING}
-_STOPPED: Final[Mapping[str, RunState]] = {
+_OPEN: Final[Mapping[str, RunState]] = {
+    EventType.RUN_RESUMED: RunState.RUNNING,
     EventType.RUN_FAILED: RunState.FAILED,
     EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
-    **_ABORTED,
+    EventType.RUN_ABORTED: RunState.ABORTED,
 }
+"""What may happen to every run that has not ended, whatever its last program left it at."""
+
+
+def _stopped(state: RunState) -> Mapping[str, RunState]:
+    """Return the row of a run that has stopped: a further attempt that fails leaves it as it was."""
+    return {**_OPEN, EventType.RUN_FAILED: state, EventType.RUN_INTERRUPTED: state}
+
 
 TRANSITIONS: Final[Mapping[RunState, Mapping[str, RunState]]] = {
-    RunState.READY: {EventType.RUN_STARTED: RunState.RUNNING, **_TAKEN_UP, **_STOPPED},
+    RunState.READY: {**_OPEN, EventType.RUN_STARTED: RunState.RUNNING},
     RunState.RUNNING: {
+        **_OPEN,
         EventType.RUN_PAUSED: RunState.PAUSED,
         EventType.RUN_FINISHED: RunState.FINISHED,
-        **_STOPPED,
     },
-    RunState.PAUSED: {EventType.RUN_CONTINUED: RunState.RUNNING, **_STOPPED},
-    RunState.FAILED: {**_TAKEN_UP, **_ABORTED},
-    RunState.INTERRUPTED: {**_TAKEN_UP, **_ABORTED},
+    RunState.PAUSED: {**_OPEN, EventType.RUN_CONTINUED: RunState.RUNNING},
+    RunState.FAILED: _stopped(RunState.FAILED),
+    RunState.INTERRUPTED: _stopped(RunState.INTERRUPTED),
     RunState.FINISHED: {},
     RunState.ABORTED: {},
 }
-"""Which event leads from which state to which: there is no other way.
-
-A program that takes a run up again begins at READY; what the run was before stands in its record.
-"""
+"""Which event leads from which state to which: there is no other way, for who writes a record or reads it."""
 
 ENDED: Final = frozenset({RunState.FINISHED, RunState.ABORTED})
 """States in which nothing more happens to a run."""
@@ -72,7 +75,6 @@ HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
 
 
 _CHANGING: Final = frozenset(event for row in TRANSITIONS.values() for event in row)
-_UNDER_WAY: Final = frozenset({RunState.RUNNING, RunState.PAUSED})
 
 
 def state_after(events: list[str]) -> RunState:
@@ -90,8 +92,6 @@ def state_after_one(state: RunState, event: str) -> RunState:
     """Return the state that an event on record leads to. Raises `ValueError` where the table does not allow it."""
     if event not in _CHANGING:
         return state
-    if event == EventType.RUN_RESUMED and state in _UNDER_WAY:
-        return state  # the program died without a word, and another took the run up
     if event not in TRANSITIONS[state]:
         raise ValueError(f"{event} cannot follow on {state}")
     return TRANSITIONS[state][event]

@@ -41,9 +41,10 @@ def test_a_folder_renamed_in_mid_run_keeps_the_whole_record_and_is_named(bench, 
     status, _, err = run_on(bench)
     assert status == 2
     assert "the run is finished and recorded, but its folder was renamed" in err
-    assert "'bench report runs/two' makes its results there" in err
+    assert "'bench resume runs/two' makes its results there" in err
     assert Run(Path("runs/two")).history.state == "finished"
-    assert bench("report", "runs/two")[0] == 0
+    assert bench("resume", "runs/two")[0] == 0
+    assert not Run(Path("runs/two")).results_missing
 
 
 @pytest.mark.slow

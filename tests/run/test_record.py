@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 
@@ -97,6 +98,34 @@ def test_a_name_is_not_used_twice(tmp_path):
     make(tmp_path / "run")
     with pytest.raises(RecordError, match="choose another with --name"):
         make(tmp_path / "run")
+
+
+@pytest.mark.parametrize("as_run", [True, False], ids=["run", "folder"])
+def test_a_folder_that_another_program_made_meanwhile_is_told_as_one(tmp_path, monkeypatch, as_run):
+    def made_meanwhile(part, target):
+        monkeypatch.undo()
+        if as_run:
+            make(target)
+        else:
+            (target / "own").mkdir(parents=True)
+        return part.rename(target)
+
+    monkeypatch.setattr(Path, "rename", made_meanwhile)
+    kind = "run" if as_run else "file or folder"
+    with pytest.raises(RecordError, match=f"there is a {kind} of that name; choose another with --name"):
+        make(tmp_path / "run")
+    assert [found.name for found in tmp_path.iterdir()] == ["run"]
+
+
+def test_an_event_that_cannot_follow_is_not_written(tmp_path):
+    record = Record.create(tmp_path / "run", {"name": "run"}, {}, lambda: NOON)
+    record.append("run_aborted", 0.0)
+    with pytest.raises(ValueError, match="run_failed cannot follow on aborted"):
+        record.append("run_failed", 0.0)
+    record.append("left_safe", 0.0, to_do={})
+    record.close()
+    history = read_history(tmp_path / "run")
+    assert (history.problems, len(history.events)) == ((), 2)
 
 
 def test_a_full_disk_loses_nothing_and_says_so(tmp_path, monkeypatch):

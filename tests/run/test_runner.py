@@ -133,6 +133,53 @@ def test_every_absent_instrument_is_named_at_once(tmp_path):
     assert recorded(tmp_path / "run")[0].state == "failed"
 
 
+def resumed(folder, bench, **options):
+    """Go on with a run on a bench; the record is let go however that ends."""
+    record, history = Record.reopen(folder, lambda: NOON)
+    with contextlib.closing(record):
+        make_runner(bench, record, progress=Progress.of(history), **options).run(resume_point(PLAN, history))
+
+
+@pytest.mark.parametrize("trouble", [KeyboardInterrupt(), BadReading("voltmeter.y", "overload", ""), None])
+def test_resumed_with_the_instruments_still_off_a_run_stays_as_it_was(tmp_path, trouble):
+    absent, raised = (("x", "y"), NotConnected) if trouble is None else ((), type(trouble))
+    with contextlib.closing(new_record(tmp_path)) as record, pytest.raises(raised):
+        make_runner(Bench(trouble, 20), record, absent=absent).run()
+    before = recorded(tmp_path / "run")
+    for _ in range(2):
+        with pytest.raises(NotConnected):
+            resumed(tmp_path / "run", Bench(), absent=("x", "z"))
+        history, keys, _ = recorded(tmp_path / "run")
+        assert (history.state, keys) == (before[0].state, before[1])
+    assert "voltmeter.z" in history.events[-1].data["error"]
+    resumed(tmp_path / "run", Bench())
+    assert recorded(tmp_path / "run")[1] == READS
+
+
+def test_a_run_whose_program_was_killed_while_it_was_paused_goes_on_to_its_end(tmp_path):
+    with contextlib.closing(new_record(tmp_path)) as record:
+        record.append("run_started", 0.0, step=0, instruments={})
+        record.append("run_paused", 0.0, reason="")
+    resumed(tmp_path / "run", Bench())
+    history, keys, _ = recorded(tmp_path / "run")
+    assert (history.state, keys) == ("finished", READS)
+
+
+def test_stopped_at_the_task_to_mount_it_asks_for_that_mounting_and_not_for_the_one_before(tmp_path):
+    class Killed(Bench):
+        def act(self, *what):
+            if what == ("ask", "m2#1"):
+                raise KeyboardInterrupt
+            super().act(*what)
+
+    with contextlib.closing(new_record(tmp_path)) as record, pytest.raises(KeyboardInterrupt):
+        make_runner(Killed(), record).run()
+    bench = Bench()
+    resumed(tmp_path / "run", bench)
+    assert [what for what in bench.done if what[0] == "ask"] == [("ask", "m2#1")]
+    assert recorded(tmp_path / "run")[1] == READS
+
+
 def test_a_full_disk_stops_the_run_with_the_bench_closed(tmp_path, monkeypatch):
     record = new_record(tmp_path)
     bench = Bench()

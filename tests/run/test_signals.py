@@ -4,6 +4,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+import weakref
 from functools import partial
 from pathlib import Path
 
@@ -43,6 +45,55 @@ def test_sigterm_is_heard_like_ctrl_c_and_a_second_signal_does_not_cut_the_way_o
             os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGINT)
     assert "left safe" in capsys.readouterr().err
+
+
+def test_one_that_is_heard_while_the_bench_is_left_safe_stops_what_comes_after():
+    with Interrupts() as interrupts:
+        interrupts.hold()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert interrupts.haste.asked
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.release("stopped")
+
+
+def test_when_the_bench_is_safe_a_second_signal_ends_the_program_at_once(capsys):
+    ended = []
+    with Interrupts(end=ended.append) as interrupts:
+        interrupts.hold()
+        interrupts.release("stopped before the results were made")
+        for _ in range(2):
+            with pytest.raises(KeyboardInterrupt):  # the stand-in for the end of the program goes on
+                os.kill(os.getpid(), signal.SIGTERM)
+    assert ended == [2]
+    assert capsys.readouterr().err == "bench: stopped before the results were made\n"
+
+
+class Hit:
+    """Is hit by Ctrl-C where Python drops what is raised: as it is deleted."""
+
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def hit_in_callback():
+    thing = set()
+    watched.append(weakref.ref(thing, lambda reference: os.kill(os.getpid(), signal.SIGINT)))
+    return thing
+
+
+watched = []
+
+
+@pytest.mark.parametrize("dropping", [Hit, hit_in_callback])
+@pytest.mark.parametrize("released", [True, False])
+def test_a_signal_that_python_would_drop_is_raised_again(capsys, dropping, released):
+    with Interrupts() as interrupts, pytest.raises(KeyboardInterrupt):  # noqa: PT012
+        if released:
+            interrupts.release("stopped")
+        kept = dropping()
+        del kept
+        time.sleep(30.0)  # until the signal
+    assert capsys.readouterr().err == ""
 
 
 def test_the_handlers_are_given_back():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.run.states import HEARD, TRANSITIONS, RunState, state_after
+from bench.run.states import ENDED, HEARD, TRANSITIONS, RunState, state_after
 
 
 def test_the_table_of_transitions_has_no_dead_end_but_the_two_ends():
@@ -31,8 +31,21 @@ def test_every_transition_leads_where_the_table_says_and_no_other_is_allowed(sta
     for event in events:
         if event in TRANSITIONS[state]:
             assert state_after([*way, event]) is TRANSITIONS[state][event]
-        elif event == "run_resumed" and state in {RunState.RUNNING, RunState.PAUSED}:
-            assert state_after([*way, event]) is state  # its program had died
         else:
             with pytest.raises(ValueError, match="cannot follow"):
                 state_after([*way, event])
+
+
+@pytest.mark.parametrize("stopped", ["run_failed", "run_interrupted"])
+@pytest.mark.parametrize("attempt", ["run_failed", "run_interrupted"])
+def test_an_attempt_to_go_on_that_fails_leaves_a_run_as_it_was(stopped, attempt):
+    """Records that earlier versions wrote so are read as what they are."""
+    before = state_after(["run_started", stopped])
+    assert state_after(["run_started", stopped, attempt, attempt]) is before
+    assert state_after(["run_started", stopped, attempt, "run_resumed"]) is RunState.RUNNING
+
+
+@pytest.mark.parametrize("state", [state for state in RunState if state not in ENDED])
+def test_whatever_a_program_left_a_run_at_another_takes_it_up_or_ends_it(state):
+    assert TRANSITIONS[state]["run_resumed"] is RunState.RUNNING
+    assert TRANSITIONS[state]["run_aborted"] is RunState.ABORTED

@@ -60,11 +60,14 @@ def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
 
 
 def resume_run(run: Run) -> None:
-    """Go on with a run in a process of its own; it has begun when this returns. Raises `Refusal`."""
+    """Go on with a run, or make its results, in a process of its own, which has begun when this returns.
+
+    Raises `Refusal`.
+    """
     if is_being_written(run.folder):
         raise Refusal(409, "a program is carrying out this run now")
     started = start(["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", ANSWERS], _output(run))
-    wait_until(lambda: is_being_written(run.folder), started)
+    wait_until(lambda: is_being_written(run.folder) or not run.results_missing, started)
 
 
 def diagnose(run: Run) -> Started:

@@ -19,6 +19,7 @@ from bench.panel.launching.choices import NEXT
 from bench.panel.pages.shown import APART, page
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
 from bench.run.folder import Run
+from bench.run.states import RunState
 
 MOST_TOLD: Final = 50
 
@@ -37,6 +38,7 @@ def verdict(request: Request) -> Response:
         certificates=certificates,
         trouble=trouble,
         further=is_plain(run.folder / NEXT),
+        unmade=run.results_missing and run.history.state is RunState.FINISHED,
         diagnosing=diagnosing is not None and diagnosing.status is None,
         not_diagnosed=diagnosing.last_words() if diagnosing is not None and diagnosing.status == 2 else "",
     )
