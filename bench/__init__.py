@@ -18,63 +18,33 @@ TYPE_CHECKING = False  # as `typing` has it: its import would be a while in whic
 if TYPE_CHECKING:
     from typing import Any, Final
 
-    from bench.analysis.calibration import CalibrationError
-    from bench.api.budget import BudgetResult, budget
-    from bench.api.calibration import CalibrationResult, Coefficient
-    from bench.api.chart_sources import chart
-    from bench.api.check_block import CheckBlockChart
-    from bench.api.confirmation import ConfirmationResult
-    from bench.api.diagnosis import DiagnosisResult
-    from bench.api.errors import Refused
-    from bench.api.face import (
-        DryRun,
-        calibrate,
-        confirm,
-        diagnose,
-        dry_run,
-        learn,
-        load_bench,
-        read_readings,
-        verify,
-    )
-    from bench.api.free_diagnosis import FreeDiagnosisResult
-    from bench.api.learning import LearningResult
-    from bench.api.verification import VerificationResult
-    from bench.base.forms import FileMistakes
-    from bench.files.bench.file import BenchFile
-    from bench.readings.csv import ReadingsError
-    from bench.readings.table import Readings
-    from bench.run.manifest import RecordError
-
-__all__ = [
-    "BenchFile",
-    "BudgetResult",
-    "CalibrationError",
-    "CalibrationResult",
-    "CheckBlockChart",
-    "Coefficient",
-    "ConfirmationResult",
-    "DiagnosisResult",
-    "DryRun",
-    "FileMistakes",
-    "FreeDiagnosisResult",
-    "LearningResult",
-    "Readings",
-    "ReadingsError",
-    "RecordError",
-    "Refused",
-    "VerificationResult",
-    "budget",
-    "calibrate",
-    "chart",
-    "confirm",
-    "diagnose",
-    "dry_run",
-    "learn",
-    "load_bench",
-    "read_readings",
-    "verify",
-]
+    from bench.analysis.calibration import CalibrationError as CalibrationError
+    from bench.api.budget import BudgetResult as BudgetResult
+    from bench.api.budget import budget as budget
+    from bench.api.calibration import CalibrationResult as CalibrationResult
+    from bench.api.calibration import Coefficient as Coefficient
+    from bench.api.chart_sources import chart as chart
+    from bench.api.check_block import CheckBlockChart as CheckBlockChart
+    from bench.api.confirmation import ConfirmationResult as ConfirmationResult
+    from bench.api.diagnosis import DiagnosisResult as DiagnosisResult
+    from bench.api.errors import Refused as Refused
+    from bench.api.face import DryRun as DryRun
+    from bench.api.face import calibrate as calibrate
+    from bench.api.face import confirm as confirm
+    from bench.api.face import diagnose as diagnose
+    from bench.api.face import dry_run as dry_run
+    from bench.api.face import learn as learn
+    from bench.api.face import load_bench as load_bench
+    from bench.api.face import read_readings as read_readings
+    from bench.api.face import verify as verify
+    from bench.api.free_diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
+    from bench.api.learning import LearningResult as LearningResult
+    from bench.api.verification import VerificationResult as VerificationResult
+    from bench.base.forms import FileMistakes as FileMistakes
+    from bench.files.bench.file import BenchFile as BenchFile
+    from bench.readings.csv import ReadingsError as ReadingsError
+    from bench.readings.table import Readings as Readings
+    from bench.run.manifest import RecordError as RecordError
 
 _HOMES: Final = {
     "bench.analysis.calibration": ("CalibrationError",),
@@ -95,9 +65,11 @@ _HOMES: Final = {
     "bench.files.bench.file": ("BenchFile",),
     "bench.readings.csv": ("ReadingsError",),
     "bench.readings.table": ("Readings",),
-    "bench.run.record": ("RecordError",),
+    "bench.run.manifest": ("RecordError",),
 }  # fmt: skip
-"""Where the public names stand."""
+"""The public names, by the module in which they stand. The imports above tell a type checker the same."""
+
+__all__ = sorted(name for names in _HOMES.values() for name in names)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
@@ -111,4 +83,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Return the public names."""
-    return sorted(__all__)
+    return __all__

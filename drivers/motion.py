@@ -6,7 +6,6 @@ window lay within the tolerance while nothing moved; a controller's own "done" a
 
 from __future__ import annotations
 
-import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.angles import format_dms
 from drivers.interfaces import Direction, HeadPosition, Identity, InstrumentRefused, LimitExceeded
+from drivers.making_safe import SEE_IT_STANDS, Attempts, why_failed
 from drivers.travel_watch import TravelWatch
 from drivers.wire.proving import ProvedSession
 
@@ -48,7 +48,7 @@ class Axis(Protocol):
         ...
 
     def stop(self) -> None:
-        """Stop the motion where it is."""
+        """Stop the motion where it is. Raises `BenchError` where that is not confirmed."""
         ...
 
 
@@ -146,8 +146,10 @@ class Mover:
         except BaseException as error:
             try:
                 self._axis.stop()
-            except Exception:
-                error.add_note(f"{self._name}: its stop is not confirmed: see that it stands")
+            except Exception as failed:
+                error.add_note(
+                    f"{self._name}: its stop is not confirmed: {SEE_IT_STANDS} ({why_failed(failed)})"
+                )
             raise
 
     def wait_while(self, busy: Callable[[], bool], limit_s: float) -> None:
@@ -249,13 +251,14 @@ class MotorisedHead(ABC):
         self._session.open()
         return self._identity
 
-    def close(self) -> None:
-        """Stop and let the head go. Never raises, may be called twice."""
+    def close(self) -> str:
+        """Stop and let the head go; return what a person must still do. Never raises, may be called twice."""
+        attempts = Attempts()
         if self._session.opened:
-            with contextlib.suppress(Exception):
-                self.stop()
-                self._release()
+            attempts.make(SEE_IT_STANDS, self.stop)
+            self._release(attempts)
         self._session.close()
+        return attempts.end()
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Turn to `target_rad` from the demanded side; return the angle read back.
@@ -272,8 +275,8 @@ class MotorisedHead(ABC):
     def _prove(self) -> None:
         """Identify the controller, prove its settings and set `_identity`. Raises `InstrumentRefused`."""
 
-    def _release(self) -> None:  # noqa: B027 - most need nothing more
-        """Leave the head safe, which was stopped just now."""
+    def _release(self, attempts: Attempts) -> None:  # noqa: B027 - most need nothing more
+        """Leave the head safe, which was told to stop just now; each command is an attempt of its own."""
 
     @abstractmethod
     def prepare(self) -> None:
@@ -293,4 +296,4 @@ class MotorisedHead(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop the motion where it is."""
+        """Stop the motion where it is. Raises `BenchError` where that is not confirmed."""

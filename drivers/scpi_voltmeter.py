@@ -7,12 +7,12 @@ concerns the wire, a lost connection or a lost power supply stands here once.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.agilent_34401a import facts as line
@@ -26,6 +26,7 @@ from drivers.interfaces import (
     VoltmeterLimits,
     VoltmeterSettings,
 )
+from drivers.making_safe import STAYS_REMOTE, Attempts
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -272,14 +273,15 @@ class ScpiVoltmeter(ABC):
         if self._settings is not None:
             self._fetch(self._settings)
 
-    def close(self) -> None:
-        """Leave the meter in local and let it go. Never raises, may be called twice."""
+    def close(self) -> str:
+        """Leave the meter in local and let it go; return what a person must still do. Never raises."""
+        attempts = Attempts()
         if self._interface == "rs232" and self.local_command and self._session.connection is not None:
-            with contextlib.suppress(Exception):
-                self._session.write(self.local_command)
+            attempts.make(STAYS_REMOTE, partial(self._session.write, self.local_command))
         self._connection = None
         self._started = False
         self._session.close()
+        return attempts.end()
 
     # --- settings, errors ---------------------------------------------------------------------------
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +16,7 @@ from drivers.interfaces import (
     SetOtherwise,
     SupplyLimits,
 )
+from drivers.making_safe import STAYS_REMOTE, Attempts
 from drivers.wire.proving import ProvedSession
 
 if TYPE_CHECKING:
@@ -59,12 +59,16 @@ class WiredSupply(ABC):
         self._session.open()
         return self._identity
 
-    def close(self) -> None:
-        """Give the front panel back and let the supply go; its outputs stay as they are. Never raises."""
+    def close(self) -> str:
+        """Give the front panel back and let the supply go; its outputs stay as they are. Never raises.
+
+        Returns what a person must still do.
+        """
+        attempts = Attempts()
         if self._session.opened and self._wire.connection is not None:
-            with contextlib.suppress(Exception):
-                self._go_to_local()
+            attempts.make(STAYS_REMOTE, self._go_to_local)
         self._session.close()
+        return attempts.end()
 
     def state(self, key: str) -> dict[str, OutputState]:
         """Return how every output is now. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
@@ -111,10 +115,12 @@ class WiredSupply(ABC):
         self._clock.sleep(SWITCHING_S)
         after = self._states()
         self._refuse_tripped(after, [output])
+        errors = self._errors()
         if after[output].on != on:
+            reported = f" ({', '.join(errors)})" if errors else ""
             raise InstrumentRefused(
                 self.name,
-                f"its output {output} is {_word(after[output].on)}, not {_word(on)}",
+                f"its output {output} is {_word(after[output].on)}, not {_word(on)}{reported}",
                 "see its display; nobody else may control it",
             )
         others = [o for o in self.outputs if o != output and after[o].on != before[o].on]
@@ -124,7 +130,7 @@ class WiredSupply(ABC):
                 f"with its output {output} output {' and '.join(others)} went {_word(after[others[0]].on)}",
                 "uncouple its outputs",
             )
-        self._refuse_troubles(self._errors())
+        self._refuse_troubles(errors)
 
     def switch_all_off(self) -> str:
         """Switch every output off and read it back; nothing is left for a person to do.

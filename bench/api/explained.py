@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bench.api.errors import Refused
+from bench.base.extras import missing
 
 
 def expected(error: BaseException) -> bool:
@@ -19,7 +20,7 @@ def expected(error: BaseException) -> bool:
     kinds: tuple[Any, ...] = (
         FileMistakes, CalibrationError, ReadingsError, RecordError, BenchError, ExpressionError,
     )  # fmt: skip
-    return isinstance(error, kinds)
+    return isinstance(error, kinds) or bool(missing(error))
 
 
 def kind_and_words(error: BaseException) -> str:
@@ -32,7 +33,7 @@ def sentence(error: Exception) -> str:
     if isinstance(error, Refused):
         return error.typed
     if expected(error):
-        return str(error)
+        return missing(error) or str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {error.strerror or error}"
     return f"stopped by a mistake of the program ({kind_and_words(error)})"

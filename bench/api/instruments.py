@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
@@ -33,6 +32,7 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
+from drivers.making_safe import let_go
 from drivers.wire.haste import Haste
 from drivers.wire.log import WireLog
 
@@ -65,7 +65,7 @@ class _Nobody:
 class InstrumentLook:
     """What is known of one instrument; `failure` is the first thing that went wrong with it.
 
-    `samples` is how many a voltmeter is asked for.
+    `samples` is how many a voltmeter is asked for, `to_do` what a person must do where it was not left safe.
     """
 
     name: str
@@ -77,6 +77,7 @@ class InstrumentLook:
     value: dict[str, float] | float | None = None
     failure: BenchError | None = None
     samples: int = 1
+    to_do: str = ""
 
     @property
     def test_failed(self) -> bool:
@@ -90,6 +91,8 @@ class InstrumentLook:
         if self.test_failed:
             remedy = "take the cables off its input and test again; if it fails again, have it serviced"
             found.append(BenchError(self.name, f"its self-test failed: {self.self_test}", remedy))
+        if self.to_do:
+            found.append(BenchError(self.name, "it was not left safe", self.to_do))
         return found
 
     @property
@@ -155,17 +158,23 @@ def _look_at_all(
     for thread in threads:
         thread.start()
     try:
-        for thread, row in zip(threads, rows, strict=True):
-            thread.join(max(0.0, deadline_s - clock.now_s()))
-            if thread.is_alive():
-                row.failure = InstrumentLost(
-                    row.name, f"did not come to an end within {_LONGEST_S:g} s", "switch it off and on"
-                )
-    finally:
-        for thread, instrument in zip(threads, instruments, strict=True):
-            if thread.is_alive():  # after Ctrl-C
-                with suppress(Exception):  # the next one is to be let go as well
-                    instrument.close()
+        try:
+            for thread, row in zip(threads, rows, strict=True):
+                thread.join(max(0.0, deadline_s - clock.now_s()))
+                if thread.is_alive():
+                    row.failure = InstrumentLost(
+                        row.name, f"did not come to an end within {_LONGEST_S:g} s", "switch it off and on"
+                    )
+        finally:
+            for thread, instrument, row in zip(threads, instruments, rows, strict=True):
+                if thread.is_alive():
+                    row.to_do = let_go(instrument)
+    except KeyboardInterrupt:
+        if to_do := [f"{row.name} {row.to_do}" for row in rows if row.to_do]:
+            raise BenchError(
+                "instruments", "stopped, and not everything was left safe", "; ".join(to_do)
+            ) from None
+        raise
 
 
 def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
@@ -186,7 +195,7 @@ def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> Non
         cause = f"the driver failed with {type(error).__name__} ({error})"
         row.failure = BenchError(row.name, cause, "repeat it with --wire-log FILE and report what that shows")
     finally:
-        instrument.close()
+        row.to_do = let_go(instrument)
 
 
 def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any, Final
 
 from bench.api.errors import Refused
 from bench.batch.columns import Row
-from bench.batch.extras import distributed
 from bench.batch.job import Job, program
 from bench.batch.processes import AHEAD, died_at
 from bench.batch.work import worked
@@ -25,7 +25,8 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     Paths of runs hold at the workers as they do here. Only so many runs as the workers have at hand are taken from
     `runs`. Raises `Refused` where no scheduler answers, where a worker has another program, or where it goes away.
     """
-    dask = distributed()
+    dask: Any = import_module("distributed")
+
     for name in [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what it has to say is said below
     try:

@@ -86,9 +86,8 @@ Row = dict[str, Any]
 
 def arrow_schema(command: str) -> Any:
     """Return the columns as the columnar files have them."""
-    from bench.batch.extras import pyarrow
+    import pyarrow as arrow
 
-    arrow = pyarrow()
     kinds = {
         TEXT: arrow.string(),
         NUMBER: arrow.float64(),

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 from bench.base.whole import to_text, write_whole
 from bench.batch.columns import COLUMNS, NOT_IN_TEXT
-from bench.batch.extras import duckdb
 from bench.batch.job import DIAGNOSE
 from bench.batch.store import PARTS, RUNS, Store
 
@@ -62,7 +61,9 @@ Ask = Any
 @contextmanager
 def asked_of(folder: Path) -> Iterator[Ask]:
     """Let questions be asked about the rows of a batch, as far as it is done; large ones use the disk."""
-    with duckdb().connect(":memory:", config={"memory_limit": _MEMORY, "threads": 1}) as ask:
+    import duckdb
+
+    with duckdb.connect(":memory:", config={"memory_limit": _MEMORY, "threads": 1}) as ask:
         parts, runs = _literal(folder / PARTS / "part-*.parquet"), _literal(folder / RUNS)
         ask.execute(_PARTS_OF_THE_LISTED.replace("$parts", parts).replace("$runs", runs))
         yield ask

@@ -19,7 +19,6 @@ from filelock import FileLock, Timeout
 from bench.api.errors import Refused
 from bench.base.whole import from_text, to_text
 from bench.batch.columns import COLUMNS, Row, arrow_schema
-from bench.batch.extras import parquet, pyarrow
 from bench.batch.job import Job, program
 from bench.batch.listing import fingerprint
 from drivers.clock import utc_now
@@ -131,10 +130,11 @@ class Store:
     # --- what is done -------------------------------------------------------------------------------
 
     def _left(self, command: str, runs: Sequence[str]) -> Progress:
+        import pyarrow
+
         now = {run: fingerprint(run) for run in runs}
         done = self._done()
-        arrow = pyarrow()
-        listed = arrow.table({"run": list(now), "fingerprint": list(now.values())})
+        listed = pyarrow.table({"run": list(now), "fingerprint": list(now.values())})
         self._write_table(self.folder / RUNS, listed)
         pending = {run: mark for run, mark in now.items() if mark not in done.get(run, ())}
         notes = []
@@ -147,10 +147,12 @@ class Store:
         return Progress(pending, len(now) - len(pending), tuple(notes))
 
     def _done(self) -> dict[str, tuple[str, ...]]:
+        from pyarrow import parquet
+
         done: dict[str, tuple[str, ...]] = {}
         for part in self.parts():
             try:
-                table = parquet().read_table(part, columns=["run", "fingerprint"])
+                table = parquet.read_table(part, columns=["run", "fingerprint"])
             except (OSError, ValueError, KeyError) as problem:
                 first = str(problem).splitlines()[0]
                 raise Refused(f"{part}: damaged ({first}); delete it: its runs are computed again") from None
@@ -166,16 +168,21 @@ class Store:
 
     def write_part(self, command: str, rows: Iterable[Row]) -> None:
         """Write rows as a part that is there whole or not at all."""
+        import pyarrow
+
         parts = self.parts()
         number = int(parts[-1].stem.partition("-")[2]) + 1 if parts else 1
         schema = arrow_schema(command)
-        table = pyarrow().Table.from_pylist(list(rows), schema=schema)
+        table = pyarrow.Table.from_pylist(list(rows), schema=schema)
         self._write_table(self.folder / PARTS / f"part-{number:07}.parquet", table)
 
     @staticmethod
     def _write_table(file: Path, table: Any) -> None:
-        sink = pyarrow().BufferOutputStream()
-        parquet().write_table(table, sink, compression="zstd")
+        import pyarrow
+        from pyarrow import parquet
+
+        sink = pyarrow.BufferOutputStream()
+        parquet.write_table(table, sink, compression="zstd")
         _write_synced(file, sink.getvalue())
 
 

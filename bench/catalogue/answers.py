@@ -28,7 +28,7 @@ from bench.catalogue.schema import (
     USES,
     VERIFICATIONS,
 )
-from bench.catalogue.store import MISSING, Catalogue
+from bench.catalogue.store import Catalogue
 from bench.model.block import COEFFICIENTS
 
 Condition = ColumnElement[bool]
@@ -60,12 +60,10 @@ class Answer:
         return text.getvalue()
 
     def write_parquet(self, file: Path) -> None:
-        """Write the table as Parquet, times in UTC. Raises `Refused` without pyarrow, `OSError`."""
-        try:
-            import pyarrow
-            from pyarrow import parquet
-        except ImportError as error:
-            raise Refused(MISSING.format("pyarrow", "catalogue")) from error
+        """Write the table as Parquet, times in UTC. Raises `OSError`."""
+        import pyarrow
+        from pyarrow import parquet
+
         names = self.columns
         table = pyarrow.table(
             [pyarrow.array([row[k] for row in self.rows]) for k in range(len(names))], names=list(names)

@@ -25,7 +25,6 @@ FILE: Final = "catalogue.sqlite"
 SCHEMA: Final = "0003"
 """The newest revision of `bench/catalogue/migrations`."""
 
-MISSING: Final = "the catalogue needs the package {}: pip install 'triaxial-bench[{}]'"
 BUSY_MS: Final = 120_000
 """How long another program's turn is waited for."""
 
@@ -81,21 +80,16 @@ def open_catalogue(where: str | Path | None = None, *, existing: bool = False) -
     not there is made, unless it has to be `existing`. Raises `Refused` with why and what to do.
     """
     named = str(where or os.environ.get(VARIABLE) or cache_folder(FILE))
-    try:
-        import sqlalchemy
-    except ImportError as error:
-        raise Refused(MISSING.format(error.name or "sqlalchemy", "catalogue")) from error
+    import sqlalchemy
+
     # it takes half as long to load as an answer may take, and is needed where the schema is not the present one
     if find_spec("alembic") is None:
-        raise Refused(MISSING.format("alembic", "catalogue"))
+        raise ModuleNotFoundError(name="alembic")
     url = _url(named)
     told = url.render_as_string(hide_password=True) if url.get_backend_name() != "sqlite" else named
     if url.get_backend_name() == "sqlite":
         _prepare_file(Path(url.database or ""), existing=existing)
-    try:
-        engine = sqlalchemy.create_engine(url, connect_args=_connect_args(url.get_backend_name()))
-    except ImportError as error:
-        raise Refused(MISSING.format(error.name or "psycopg", "postgresql")) from error
+    engine = sqlalchemy.create_engine(url, connect_args=_connect_args(url.get_backend_name()))
     _listen(engine)
     catalogue = Catalogue(engine, told)
     try:

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.api.errors import Refused
+from bench.api.explained import sentence
 from bench.base.forms import Document, load_document, validated
 from bench.base.json_text import read_json
 from bench.base.whole import write_whole
 from bench.certificate.content import Before, Certificate, Issue
-from bench.certificate.extra import needing_packages
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import Laboratory, Person, laboratory_of
 from bench.certificate.order import Order
@@ -136,8 +136,7 @@ def _told(name: str) -> Iterator[list[Outcome]]:
     try:
         yield outcomes
     except Exception as error:
-        ours = type(error).__module__.startswith(("bench.", "drivers."))
-        outcomes.append(Outcome(name, why=str(error) if ours else f"{type(error).__name__}: {error}"))
+        outcomes.append(Outcome(name, why=sentence(error)))
 
 
 def _issue(
@@ -253,9 +252,9 @@ def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodie
 
     Raises `Refused` where the document breaks a rule of ours or of the schemas.
     """
-    with needing_packages():
-        from bench.certificate.dcc.document import document_of
-        from bench.certificate.dcc.rules import broken_rules
+    from bench.certificate.dcc.document import document_of
+    from bench.certificate.dcc.rules import broken_rules
+
     xml = document_of(certificate)
     wrong = [*broken_rules(xml), *(schemas.mistakes(xml) if schemas is not None else ())]
     if wrong:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.api.errors import Refused
+from bench.api.explained import sentence
 from bench.base.whole import write_whole
 from bench.certificate.life import issued, made_again
 from bench.certificate.register import Register
@@ -57,7 +58,7 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
     try:
         again = made_again(register, number, runs).sha256()
     except Exception as error:
-        problems.append(f"{number}: cannot be made again: {error}")
+        problems.append(f"{number}: cannot be made again: {sentence(error)}")
         return False
     wrong = [name for name, digest in again.items() if stated[name] != digest]
     if wrong:

@@ -210,14 +210,15 @@ def _carried_out(
     runs: Path,
 ) -> Outcome | None:
     """Carry a batch out, or on; print what came of it. None where a Ctrl-C ended it before."""
+    import duckdb  # noqa: F401 - it is there, before much is computed
+    import pyarrow  # noqa: F401
+
     from bench.batch.course import Course
-    from bench.batch.extras import duckdb, pyarrow
     from bench.batch.listing import list_runs
     from bench.batch.outcome import conclude
     from bench.batch.store import Store
 
     printing.check_target(json)
-    pyarrow(), duckdb()
     job = job.checked()
     listed = list_runs(over, runs, catalogue)
     printing.notes_aside(f"{place} is no run and holds none: left out" for place in listed.no_runs)

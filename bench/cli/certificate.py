@@ -276,11 +276,8 @@ def read(
     from bench.api.source import check_gravity
     from bench.base.units import VOLTAGE, parse_quantity
     from bench.base.whole import to_text, write_whole
-    from bench.certificate.extra import needing_packages
-
-    with needing_packages():
-        from bench.certificate.dcc.instrument import section_of
-        from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients
+    from bench.certificate.dcc.instrument import section_of
+    from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients
 
     printing.check_target(json)
     check_gravity(g)
@@ -341,10 +338,8 @@ def _desk(
         raise Refused(f"a certificate needs {', '.join(lacking)}; a draft (--draft) needs none of them")
     schemas = None
     if schema is not None:
-        from bench.certificate.extra import needing_packages
+        from bench.certificate.dcc.schema import read_schemas
 
-        with needing_packages():
-            from bench.certificate.dcc.schema import read_schemas
         schemas = read_schemas(schema)
     signatory = None
     if key is not None:

@@ -218,8 +218,9 @@ class Evening:
         """Return the finding of an error, of the instrument that raised it."""
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
+        remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
         return Finding(
-            check, error.instrument if known else name, state, f"{about}{error.cause}", remedy=error.remedy
+            check, error.instrument if known else name, state, f"{about}{error.cause}", remedy=remedy
         )
 
     def _connection(self, name: str) -> int | None:

@@ -14,6 +14,7 @@ from bench.commission.finding import Figure, Finding, State
 from bench.devices.heads import MotorisedHeadForm
 from drivers.angles import format_dms
 from drivers.interfaces import BenchError, Direction, DividingHead, LimitExceeded
+from drivers.making_safe import SEE_IT_STANDS, Attempts
 
 LIMITS: Final = "limits"
 MOVE: Final = "small move"
@@ -214,9 +215,10 @@ def _stopped(
         evening.clock.sleep(0.5 * way_rad / form.speed)
         told_s = evening.time_s()
         motor.stop()
-    except BaseException:
-        with contextlib.suppress(Exception):
-            motor.stop()
+    except BaseException as error:
+        attempts = Attempts()
+        if not attempts.make(f"{form.name}: {SEE_IT_STANDS}", motor.stop):
+            error.add_note(attempts.end())
         raise
     rest_rad = _at_rest(evening, motor, form)
     took_s = evening.time_s() - told_s

@@ -22,7 +22,7 @@ def normal_gravity_m_s2(latitude_rad: float, height_m: float = 0.0) -> float:
 
     Local anomalies (some 1e-4 to 1e-3 m/s²) are not in it. Raises `ValueError` for a latitude beyond the poles.
     """
-    if abs(latitude_rad) > math.pi / 2 + 1e-9:
+    if not abs(latitude_rad) <= math.pi / 2 + 1e-9:
         raise ValueError(f"a latitude lies between -90° and 90°, not at {math.degrees(latitude_rad):g}°")
     s2 = math.sin(latitude_rad) ** 2
     on_ellipsoid = _EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * s2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * s2)

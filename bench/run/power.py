@@ -7,7 +7,6 @@ after it, and now and then in between.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
@@ -31,6 +30,7 @@ from drivers.interfaces import (
     SupplyLimits,
     WatchingPerson,
 )
+from drivers.making_safe import Attempts
 
 WATCH_S: Final = 10.0
 """So often the rails are looked at while something is waited for."""
@@ -185,18 +185,20 @@ class UnitPower:
 
         A person who works the supply is not asked on the way out, but told.
         """
-        try:
-            if not self.supply.asks_person:
-                with suppress(Exception):
-                    self._switch_rails_off(key)
-                    return ""
-            if to_do := self.supply.switch_all_off():
+        rails = Attempts()
+        for number, rail in enumerate(() if self.supply.asks_person else reversed(self.section.rails)):
+            if number:
+                self.clock.sleep(self.section.pause)
+            by_hand = f"its rail {rail.name} did not go off by itself: find out why before the next run"
+            rails.make(by_hand, partial(self.supply.switch, rail.output, False, key))
+        told = rails.end()
+        if told or self.supply.asks_person:
+            whole = Attempts()
+            whole.make("could not switch the block off: switch it off by hand", self.supply.switch_all_off)
+            if to_do := whole.end():
                 return to_do
-        except Exception as error:
-            why = error.cause if isinstance(error, BenchError) else f"{type(error).__name__}: {error}"
-            return f"could not switch the block off: switch it off by hand ({why})"
         self.on, self.off_since_s = False, self.now_s()
-        return ""
+        return told
 
     def leave(self) -> str:
         """Leave the block as is safe for it, on every way out; return what a person must still do. Raises nothing.

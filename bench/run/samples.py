@@ -21,6 +21,12 @@ from bench.readings.reading import Outlier
 
 OUTLIER_LEVEL: Final = 0.01
 """Probability with which normal samples without an outlier are said to have one."""
+OUTLIER_LEAST: Final = 7
+"""Of fewer samples none is called an outlier.
+
+The critical value is then within 5 % of the greatest deviation that can be, (n − 1)/√n: of three both are 1.155.
+Whether a sample lies beyond it is a matter of how the others were rounded.
+"""
 
 _ROUNDING: Final = 1e-13
 """Relative size below which a scatter is the rounding of the computation."""
@@ -42,9 +48,9 @@ def grubbs_critical(n: int, level: float = OUTLIER_LEVEL) -> float:
 class Statistics:
     """What the `n` samples of a channel tell, in their unit; None where a number does not exist.
 
-    `sd` needs 2 samples, all else 3: `drift`, the change from the first to the last sample by the fitted line,
-    `drift_u`, its standard uncertainty, `drift_p`, the probability of as large a drift in samples that only
-    scatter, and `outlier`, the sample that Grubbs' test at 1 % calls one.
+    `sd` needs 2 samples, all of the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change from the first to
+    the last sample by the fitted line, `drift_u` its standard uncertainty, `drift_p` the probability of as large
+    a drift in samples that only scatter, `outlier` the sample that Grubbs' test at 1 % calls one.
     """
 
     n: int
@@ -81,7 +87,7 @@ def _statistics(channel: str, samples: Sequence[float], resolution: float) -> St
         squares = 0.0  # equal samples: their mean is off by rounding
     sd = math.sqrt(squares / (n - 1)) if n > 1 else None
     drift, drift_u, drift_p = _drift(deviation, squares) if n > 2 else (None, None, None)
-    outlier = _outlier(x, deviation, sd, resolution) if sd and n > 2 else None
+    outlier = _outlier(x, deviation, sd, resolution) if sd and n >= OUTLIER_LEAST else None
     return Statistics(n, mean, sd, drift, drift_u, drift_p, outlier)
 
 

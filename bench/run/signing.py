@@ -12,13 +12,12 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from bench.base.extras import missing
 from bench.base.regular import read_given
 from bench.run.manifest import RecordError
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-
-MISSING = "signing needs the package {}: pip install 'triaxial-bench[signing]'"
 
 
 def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
@@ -166,5 +165,5 @@ def _cryptography() -> tuple[Any, Any]:
         from cryptography.hazmat.primitives import serialization
         from cryptography.hazmat.primitives.asymmetric import ed25519
     except ImportError as error:
-        raise RecordError(MISSING.format("cryptography")) from error
+        raise RecordError(missing(error) or str(error)) from error
     return serialization, ed25519

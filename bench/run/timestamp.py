@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
+from bench.base.extras import missing
 from bench.base.regular import read_given
 from bench.run.manifest import RecordError
-from bench.run.signing import MISSING
 
 WAIT_S: Final = 20.0
 MOST_BYTES: Final = 1_000_000
@@ -44,7 +44,7 @@ def ask_time_stamp(url: str, message: bytes) -> bytes:
     try:
         import rfc3161_client as rfc3161
     except ImportError as error:
-        raise NoTimeStamp(MISSING.format("rfc3161-client")) from error
+        raise NoTimeStamp(missing(error) or str(error)) from error
     check_server(url)
     builder = rfc3161.TimestampRequestBuilder().data(message).hash_algorithm(rfc3161.HashAlgorithm.SHA256)
     asked = builder.build()
@@ -85,7 +85,7 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         import rfc3161_client as rfc3161
         from cryptography import x509
     except ImportError as error:
-        raise NoTimeStamp(MISSING.format("rfc3161-client")) from error
+        raise NoTimeStamp(missing(error) or str(error)) from error
     try:
         decoded = rfc3161.decode_timestamp_response(response)
         told = decoded.tst_info

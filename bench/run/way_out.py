@@ -9,7 +9,8 @@ from bench.run.control import RunControl, Stopped
 from bench.run.events import EventType
 from bench.run.power import UnitPower
 from bench.run.workbench import Instruments
-from drivers.interfaces import BenchError, Instrument, ThermalChamber
+from drivers.interfaces import BenchError, ThermalChamber
+from drivers.making_safe import Attempts, let_go
 
 
 def leave_safe(
@@ -29,31 +30,18 @@ def leave_safe(
     if chamber is not None and opened and (note := _standby(chamber, demanded_c)):
         to_do[chamber.name] = note
     for instrument in instruments.all():
-        if trouble := _closed(instrument):
+        if trouble := let_go(instrument):
             to_do[instrument.name] = "; ".join(filter(None, (to_do.get(instrument.name), trouble)))
     return to_do
 
 
 def _standby(chamber: ThermalChamber, demanded_c: float | None) -> str:
-    try:
-        return chamber.make_safe()
-    except Exception as error:
-        why = f"{error.cause}" if isinstance(error, BenchError) else _of_driver(error)
+    by_hand = f"goes on conditioning at {demanded_c or 0.0:g} °C: switch it off by hand"
     if demanded_c is None:
-        return f"could not be put into standby: where it conditions, switch it off by hand ({why})"
-    return f"goes on conditioning at {demanded_c:g} °C: switch it off by hand ({why})"
-
-
-def _closed(instrument: Instrument) -> str:
-    try:
-        instrument.close()
-    except Exception as error:
-        return f"could not be let go: see that it stands and switch it off and on ({_of_driver(error)})"
-    return ""
-
-
-def _of_driver(error: Exception) -> str:
-    return f"its driver failed with {type(error).__name__}: {error}"
+        by_hand = "could not be put into standby: where it conditions, switch it off by hand"
+    attempts = Attempts()
+    attempts.make(by_hand, chamber.make_safe)
+    return attempts.end()
 
 
 def with_notes(error: BaseException) -> str:

@@ -8,10 +8,12 @@ see its facts.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from drivers.acutrol import facts
 from drivers.interfaces import Identity, InstrumentRefused
+from drivers.making_safe import SEE_IT_STANDS, Attempts
 from drivers.motion import MotorisedHead, Travel
 
 if TYPE_CHECKING:
@@ -64,10 +66,13 @@ class AcutrolHead(MotorisedHead):
         self._session.repeating(self._start_up)
         return self._identity
 
-    def _release(self) -> None:
+    def _release(self, attempts: Attempts) -> None:
         """Switch the axis off, open the interlock: the table was set to rate 0 just now."""
-        self._tell(f":mode:off {self._axis}", urgent=True)
-        self._tell(f":interlock:open {self._axis}", urgent=True)
+        attempts.make("switch its axis off at the controller", self._switch_off)
+        attempts.make(
+            "open its interlock at the controller",
+            partial(self._tell, f":interlock:open {self._axis}", urgent=True),
+        )
 
     # --- the axis -----------------------------------------------------------------------------------
 
@@ -93,12 +98,24 @@ class AcutrolHead(MotorisedHead):
         return abs(math.radians(self._read("rate"))) > self._still_rad_s
 
     def stop(self) -> None:
-        """Hold the table still: rate mode at rate 0."""
+        """Hold the table still: rate mode at rate 0; where it refuses that, switch its axis off.
+
+        The rate mode is not entered before rate 0 was taken: an older demand would turn the table.
+        """
         self._positioning = False
-        self._tell(f":demand:rate {self._axis}, {_degrees(0.0)}", urgent=True)
-        self._tell(f":mode:rate {self._axis}", urgent=True)
+        attempts = Attempts()
+        rate_0 = partial(self._tell, f":demand:rate {self._axis}, {_degrees(0.0)}", urgent=True)
+        rate_mode = partial(self._tell, f":mode:rate {self._axis}", urgent=True)
+        if not (attempts.make("", rate_0) and attempts.make("", rate_mode)):
+            attempts.make("", self._switch_off)
+        attempts.refuse_failed(
+            self.name, "it did not take rate 0 and its axis was told to go off", SEE_IT_STANDS
+        )
 
     # --- messages -----------------------------------------------------------------------------------
+
+    def _switch_off(self) -> None:
+        self._tell(f":mode:off {self._axis}", urgent=True)
 
     def _start_up(self) -> None:
         """The maker's start-up sequence; the controller wants a quarter of a second after each.

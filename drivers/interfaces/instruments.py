@@ -35,8 +35,12 @@ class Instrument(Protocol):
         """Connect, prove the identity and return it. Raises `InstrumentLost` or `InstrumentRefused`."""
         ...
 
-    def close(self) -> None:
-        """Leave the instrument safe and in local, and let it go. Never raises, may be called twice."""
+    def close(self) -> str | None:
+        """Leave the instrument safe and in local, and let it go. Never raises, may be called twice.
+
+        Each command that makes it safe is tried, whatever became of those before (`drivers.making_safe`).
+        Returns what a person must still do where one failed, nothing where all is safe.
+        """
         ...
 
 

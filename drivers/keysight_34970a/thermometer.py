@@ -141,10 +141,9 @@ class Keysight34970AThermometer:
         # beside the signals it is the voltmeter that has the serial number
         return identity if self._meter is None else replace(identity, serial="")
 
-    def close(self) -> None:
-        """Let the wire go where it is its own. Never raises, may be called twice."""
-        if self._meter is None:
-            self._probe.close()
+    def close(self) -> str:
+        """Let the wire go where it is its own, as a voltmeter does. Never raises, may be called twice."""
+        return self._probe.close() if self._meter is None else ""
 
     def block_c(self, key: str) -> float:
         """Set the channel up, prove it, read the sensor once.

@@ -25,6 +25,7 @@ _NUMBER: Final = r" *[+-]?\d+(?:\.\d+)? *"
 _ANGLE: Final = r" *[+-]?\d+\.\d+ *"
 _STATE: Final = r" *[01] *"
 _ERROR: Final = r" *\d{1,4}, *\d+, *[\x20-\x7e]+"
+_ERROR_EXAMPLE: Final = "an error such as 0, 451322, NO ERROR DETECTED"
 
 _HOME: Final = (
     "home it with the space around it clear and leave its motor on, or allow homing in the bench file"
@@ -92,8 +93,10 @@ class NewportHead(MotorisedHead):
         return turns
 
     def stop(self) -> None:
-        """Decelerate and stop; the reply is that of the query behind it."""
-        self._session.urgent(f"{self._axis}ST;{self._axis}MD?", _STATE, "0 or 1")
+        """Decelerate and stop. Raises `InstrumentRefused` for an error that the controller then reports."""
+        told = f"{self._axis}ST"
+        reply = self._session.urgent(f"{told};TB?", _ERROR, _ERROR_EXAMPLE)
+        self._refuse_error(f"reports after {told}", reply)
 
     def _home(self) -> None:
         if not self._allow_homing:
@@ -173,7 +176,7 @@ class NewportHead(MotorisedHead):
 
     def _oldest_error(self) -> str:
         """Take the oldest error out; after a reply that was lost the next one is asked for."""
-        return self._session.ask("TB?", _ERROR, "an error such as 0, 451322, NO ERROR DETECTED")
+        return self._session.ask("TB?", _ERROR, _ERROR_EXAMPLE)
 
     def _forget_errors(self) -> None:
         """Empty the error buffer. Raises `InstrumentRefused` when it fills again at once."""
@@ -185,9 +188,7 @@ class NewportHead(MotorisedHead):
 
     def _tell(self, command: str) -> None:
         """Send a command once. Raises `InstrumentRefused` for the error that it makes."""
-        reply = self._session.command(
-            f"{command};TB?", _ERROR, "an error such as 0, 451322, NO ERROR DETECTED"
-        )
+        reply = self._session.command(f"{command};TB?", _ERROR, _ERROR_EXAMPLE)
         self._refuse_error(f"answers {command} with", reply)
 
     def _refuse_error(self, how: str, error: str) -> None:

@@ -72,9 +72,11 @@ class WatlowF4TChamber(ControlledChamber):
             self._switch_output(self._output, on=True)
 
     def _stop(self) -> None:
-        """Switch the output off, or where there is none demand `safe_c`."""
+        """Switch the output off, or where there is none demand `safe_c`, whatever the control loop reports."""
         if self._output is None:
-            self.set_temperature(self._safe_c, "make safe")
+            self._limits.check(self.name, self._safe_c)
+            self._demand(self._safe_c)
+            self._refuse_other_set_point(self._set_point_c(), self._safe_c)
         else:
             self._switch_output(self._output, on=False)
 

@@ -1,10 +1,12 @@
 """The names of `import bench`: there, lazy, and not hidden by a room of the same name."""
 
+import ast
 import json
 import pkgutil
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -54,6 +56,16 @@ def test_every_public_name_is_what_it_was_when_every_module_is_imported():
     assert {name: getattr(bench, name) for name in bench.__all__} == before
     assert dir(bench) == sorted(bench.__all__)
     assert all(value.__doc__ for value in before.values())
+
+
+def test_a_type_checker_is_told_the_same_names_from_the_same_modules():
+    tree = ast.parse(Path(bench.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    told = [(one.module, name) for one in block.body if one.module != "typing" for name in one.names]
+    assert all(name.asname == name.name for _, name in told)
+    assert sorted((home, name.name) for home, name in told) == sorted(
+        (home, name) for home, names in bench._HOMES.items() for name in names
+    )
 
 
 def test_an_unknown_name_is_no_attribute():

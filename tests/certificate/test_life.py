@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -189,9 +188,3 @@ def test_coefficients_are_read_out_of_the_pdf_as_out_of_the_xml(bench, desk):
     Path("empty.pdf").write_bytes(b"%PDF-1.7 nothing")
     status, _, err = bench("certificate", "read", "empty.pdf", "--out", "c.json")
     assert (status, "a PDF that cannot be read" in err) == (2, True)
-
-
-def test_a_package_that_is_missing_is_named(bench, empty_folder, monkeypatch):
-    monkeypatch.setitem(sys.modules, "bench.certificate.dcc.instrument", None)
-    status, _, err = bench("certificate", "read", "x.xml")
-    assert (status, "pip install 'triaxial-bench[certificate]'" in err) == (2, True)

@@ -3,7 +3,6 @@
 import csv
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -158,24 +157,3 @@ def test_a_batch_of_diagnoses(bench, runs, monkeypatch):
     assert "names of effects: 0 judged the same, 2 otherwise" in out
     assert "1 VERDICT WOULD BE DIFFERENT" in out
     keeps_to("batch", json.loads(Path("out/summary.json").read_text()))
-
-
-@pytest.mark.parametrize(
-    ("package", "option", "told"),
-    [
-        (
-            "pyarrow",
-            (),
-            "the tables of a batch need the package pyarrow: pip install 'triaxial-bench[catalogue]'",
-        ),
-        (
-            "distributed",
-            ("--scheduler", "tcp://127.0.0.1:1"),
-            "batches on a cluster need the package distributed: pip install 'triaxial-bench[cluster]'",
-        ),
-    ],
-)
-def test_a_package_that_is_missing_is_named_with_its_extra(bench, runs, monkeypatch, package, option, told):
-    monkeypatch.setitem(sys.modules, package, None)
-    status, _, err = calibrate(bench, *option)
-    assert (status, err) == (2, f"bench: {told}\n")

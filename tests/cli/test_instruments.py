@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -19,7 +20,7 @@ from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
 from drivers.clock import SystemClock
-from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, SelfTesting
+from drivers.interfaces import BenchError, Identity, InstrumentLost, InstrumentRefused, SelfTesting
 from drivers.wire.discovery import SOCKETS, SerialPort, discover
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench
@@ -222,6 +223,41 @@ def test_a_motorised_head_shows_where_it_stands() -> None:
     row = command.InstrumentLook("head", "COM1", "")
     command._look_at(Standing(), row, 10.0)
     assert (row.shows, row.self_test, row.failures) == ("45°00′00″", "none", [])
+
+
+def test_an_instrument_that_was_not_left_safe_is_told() -> None:
+    class Turning(Stuck):
+        def position_rad(self) -> float:
+            return 0.5
+
+        def close(self) -> str:  # type: ignore[override]
+            return "press its emergency stop"
+
+    row = command.InstrumentLook("head", "COM1", "")
+    command._look_at(Turning(), row, 10.0)
+    assert [str(failure) for failure in row.failures] == [
+        "head: it was not left safe; press its emergency stop"
+    ]
+
+    class Interrupted(SystemClock):
+        def now_s(self) -> float:
+            if threading.active_count() > before:
+                raise KeyboardInterrupt
+            return super().now_s()
+
+    class Busy(Turning):
+        def position_rad(self) -> float:
+            return Stuck.position_rad(self)
+
+        def close(self) -> str:  # type: ignore[override]
+            Stuck.close(self)
+            return super().close()
+
+    before = threading.active_count()
+    with pytest.raises(
+        BenchError, match="stopped, and not everything was left safe; head press its emergency"
+    ):
+        command._look_at_all([Busy()], [row], 10.0, Interrupted())
 
 
 def test_a_bench_with_motors_is_looked_at_and_nothing_moves() -> None:

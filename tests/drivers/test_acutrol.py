@@ -69,6 +69,16 @@ def head(session: object, clock: object | None = None, **options: object) -> Acu
     return AcutrolHead("head", session, clock or Clock(), TRAVEL, **options)  # type: ignore[arg-type]
 
 
+def test_a_table_that_refuses_rate_0_is_switched_off_and_not_put_into_its_rate_mode() -> None:
+    refused = [(":demand:rate 1, 000.000", "ACUTROL>ERR"), (":mode:off 1", OK)]
+    script = ScriptedSession(OPEN, refused)
+    h = head(script)
+    h.open()
+    with pytest.raises(InstrumentRefused, match=r"did not take rate 0 .*:demand:rate 1, 000.000 with 'ERR'"):
+        h.stop()
+    assert script.left == []
+
+
 def test_start_up_move_and_leaving_at_rate_zero() -> None:
     clock = Clock()
     script = ScriptedSession(OPEN, MOVE, CLOSE, clock=clock)
@@ -76,8 +86,8 @@ def test_start_up_move_and_leaving_at_rate_zero() -> None:
     assert isinstance(h, DividingHead)
     assert h.open() == Identity("Acutronic", "ACUTROL")
     assert h.move(45 * DEG, 1, "1/turn") == HeadPosition(pytest.approx(44.999 * DEG, abs=1e-12), 1)  # type: ignore[arg-type]
-    h.close()
-    h.close()
+    assert h.close() == ""
+    assert h.close() == ""
     assert script.left == []
     times_s = [time_s for _, time_s in script.sent_at_s]
     assert all(later - earlier >= 0.25 for earlier, later in pairwise(times_s[1:6]))

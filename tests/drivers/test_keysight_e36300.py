@@ -65,7 +65,9 @@ def test_a_trip_at_switching_on_is_told():
 
 def test_an_output_that_goes_with_another_is_told():
     coupled = (QUESTION, ON[1].replace("0,1,0;", "0,1,1;", 1))
-    supply, _ = made([*OPENED, *SETTING_UP, SET, ("OUTP ON,(@2)", None), coupled])
+    supply, _ = made(
+        [*OPENED, *SETTING_UP, SET, ("OUTP ON,(@2)", None), coupled, ("SYST:ERR?", '+0,"No error"')]
+    )
     supply.open()
     supply.set_up(WANTED, "1/supply")
     with pytest.raises(InstrumentRefused, match="output 3 went on"):

@@ -51,7 +51,7 @@ MOVE: Pairs = [
     *STANDS,
     *STANDS,
 ]
-STOP: Pairs = [("1ST;1MD?", "0")]
+STOP: Pairs = [("1ST;TB?", FINE)]
 
 
 def head(session: object, clock: object | None = None, **options: object) -> NewportHead:
@@ -73,8 +73,8 @@ def test_a_whole_move_after_which_it_is_stopped_and_held() -> None:
     h = head(script, clock)
     assert h.open() == Identity("Newport", "ESP300", "", "3.04 07/27/01")
     assert h.move(45 * DEG, 1, "1/turn") == HeadPosition(pytest.approx(45.001 * DEG, abs=1e-12), 1)  # type: ignore[arg-type]
-    h.close()
-    h.close()
+    assert h.close() == ""
+    assert h.close() == ""
     assert script.left == []
 
 

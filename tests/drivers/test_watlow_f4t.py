@@ -134,12 +134,15 @@ def test_the_world_follows_the_chamber_in_either_unit(unit: str) -> None:
         assert c.temperature("3/read") == pytest.approx(23.0, abs=0.1)
 
 
-def test_without_an_output_it_is_made_safe_by_a_demand() -> None:
+@pytest.mark.parametrize("broken_sensor", [False, True])
+def test_without_an_output_it_is_made_safe_by_a_demand(broken_sensor: bool) -> None:
     world = a_world()
-    with stand(world, WatlowF4T(world), safe_c=30.0) as c:
+    simulated = WatlowF4T(world)
+    with stand(world, simulated, safe_c=30.0) as c:
         c.open()
         c.set_temperature(60.0, "1/temperature")
         world.clock.sleep(3 * 3600.0)
+        simulated.error = broken_sensor
         c.make_safe()
         world.clock.sleep(3 * 3600.0)
         assert world.chamber_c == pytest.approx(30.0, abs=0.01)

@@ -50,6 +50,16 @@ def test_an_outlier_is_named_and_left_where_it_is():
     assert told.mean == pytest.approx(np.mean(x))
 
 
+@pytest.mark.parametrize("n", range(3, 13))
+def test_of_few_samples_none_is_an_outlier_for_how_the_others_were_rounded(n):
+    """The last digit of an unknown meter: the rest are equal, which is the largest deviation that can be."""
+    largest = (n - 1) / np.sqrt(n)
+    told = describe({"x": [2.1] * (n - 1) + [2.10001]})["x"].outlier
+    assert (told is not None) == (grubbs_critical(n) < 0.95 * largest)
+    if told is not None:
+        assert told.sigma == pytest.approx(largest)
+
+
 def test_a_drift_is_seen():
     x = 1e-5 * np.arange(10) + np.random.default_rng(2).normal(0.0, 5e-6, 10)
     told = describe({"z": x})["z"]
@@ -80,7 +90,7 @@ def test_one_and_two_samples_have_what_they_can_have():
 
 def test_what_is_told_can_be_recorded():
     x = np.random.default_rng(1).normal(size=512)
-    told = describe({"x": x.tolist(), "y": [0.0], "z": [1.0, 1.0, 9.0]})
+    told = describe({"x": x.tolist(), "y": [0.0], "z": [*[1.0] * 9, 9.0]})
     json.dumps({channel: asdict(one) for channel, one in told.items()}, allow_nan=False)
 
 

@@ -133,6 +133,7 @@ class Stand:
     session: MessageSession
     dialect: Any
     sent: list[str]
+    served: SimulatedBench
 
     @contextmanager
     def expecting_nothing(self) -> Iterator[None]:
@@ -184,6 +185,8 @@ def standing(
         instruments = instruments_of(bench, given)
         driver = next(instrument for instrument in instruments.all() if instrument.name == name)
         try:
-            yield Stand(device, bench, world, driver, given.sessions[name], served.dialects[name], sent)
+            yield Stand(
+                device, bench, world, driver, given.sessions[name], served.dialects[name], sent, served
+            )
         finally:
             driver.close()

@@ -22,7 +22,6 @@ from bench.base.whole import from_text
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, real_lists
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node
 from bench.certificate.dcc.rules import parser
-from bench.certificate.extra import needing_packages
 from bench.model.block import COEFFICIENTS
 
 MOST_BYTES: Final = 64_000_000
@@ -75,8 +74,8 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
 
 def _attached(path: Path, paper: bytes) -> bytes:
     """Return the XML in a certificate's PDF. Raises `Refused` where there is none, or more than one."""
-    with needing_packages():
-        import pikepdf
+    import pikepdf
+
     try:
         with pikepdf.open(BytesIO(paper)) as pdf:
             found = [pdf.attachments[name] for name in pdf.attachments if name.lower().endswith(".xml")]

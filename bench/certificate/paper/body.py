@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 from bench.api.errors import Refused
 from bench.certificate.content import Certificate
 from bench.certificate.paper.page import attachments_of, data_of
-from bench.certificate.signature.signatory import MISSING
 
 if TYPE_CHECKING:
-    from types import ModuleType
+    pass
 
 _TEMPLATE: Final = "certificate.typ"
 _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')
@@ -34,7 +33,9 @@ def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110
     """Return the pages as pictures (PNG). Raises as `body_of`."""
     given = {one.name: one.content.decode() for one in attachments_of(certificate, dcc)}
     data = {"data": json.dumps(data_of(certificate, dcc)), **given}
-    made = _typst().compile(
+    import typst
+
+    made = typst.compile(
         _template(), format="png", ppi=dots_per_inch, ignore_system_fonts=True, sys_inputs=data
     )
     return made if isinstance(made, list) else [made]
@@ -42,7 +43,8 @@ def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110
 
 def typeset_pdf(data: dict[str, str], moment: int) -> bytes:
     """Set the template with its inputs; `moment` (s since 1970) is when the file says that it was made."""
-    typst = _typst()
+    import typst
+
     try:
         made: Any = typst.compile(
             _template(),
@@ -74,11 +76,3 @@ def _moment(certificate: Certificate) -> int:
         return int(datetime.fromisoformat(told).timestamp())
     except ValueError:
         return 0
-
-
-def _typst() -> ModuleType:
-    try:
-        import typst
-    except ImportError as error:
-        raise Refused(MISSING.format("typst")) from error
-    return typst

@@ -11,9 +11,6 @@ import re
 from collections.abc import Iterator
 from typing import Any, Final
 
-from bench.api.errors import Refused
-from bench.certificate.signature.signatory import MISSING
-
 _RELATIONS: Final = {"/Source", "/Data", "/Alternative", "/Supplement", "/EncryptedPayload", "/Unspecified"}
 _ACTIONS: Final = {
     "/Launch", "/Sound", "/Movie", "/ResetForm", "/ImportData", "/Hide", "/SetOCGState", "/Rendition", "/Trans",
@@ -28,10 +25,8 @@ _PDFA: Final = "http://www.aiim.org/pdfa/ns/id/"
 
 def faults_of(file: bytes) -> tuple[str, ...]:
     """Return in what a file is not the PDF/A-3b that a certificate is, a sentence each; nothing where it is."""
-    try:
-        import pikepdf
-    except ImportError as error:
-        raise Refused(MISSING.format("pikepdf")) from error
+    import pikepdf
+
     if re.match(rb"%PDF-1\.[0-7]\r?\n%[\x80-\xff]{4}", file) is None:
         return ("6.1.2: it does not begin as a PDF 1.7 with a line of four bytes above 127",)
     try:

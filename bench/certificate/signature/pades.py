@@ -12,7 +12,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.api.errors import Refused
-from bench.certificate.signature.signatory import MISSING, Signatory
+from bench.certificate.signature.signatory import Signatory
 from bench.certificate.signature.xades import NotIntact
 
 if TYPE_CHECKING:
@@ -34,14 +34,11 @@ class SignedPdf:
 
 def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, place: str) -> bytes:
     """Return a PDF with a signature of all of it appended. Raises `Refused` for one that has one."""
-    try:
-        from asn1crypto.x509 import Certificate as Asn1
-        from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
-        from pyhanko.sign import fields, signers
-        from pyhanko_certvalidator.registry import SimpleCertificateStore
-    except ImportError as error:
-        raise Refused(MISSING.format("pyhanko")) from error
+    from asn1crypto.x509 import Certificate as Asn1
     from cryptography.hazmat.primitives.serialization import Encoding
+    from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
+    from pyhanko.sign import fields, signers
+    from pyhanko_certvalidator.registry import SimpleCertificateStore
 
     own, *above = (Asn1.load(one.public_bytes(Encoding.DER)) for one in signatory.chain)
     store = SimpleCertificateStore()  # type: ignore[no-untyped-call]
@@ -89,10 +86,8 @@ def check_pdf(file: bytes) -> SignedPdf:
         raise NotIntact(f"it has more than {_MOST_BYTES // 1_000_000} MB")
     if not file.startswith(b"%PDF-"):
         raise NotIntact("not a PDF from its first byte")
-    try:
-        from pyhanko.pdf_utils.reader import PdfFileReader
-    except ImportError as error:
-        raise Refused(MISSING.format("pyhanko")) from error
+    from pyhanko.pdf_utils.reader import PdfFileReader
+
     try:
         reader = PdfFileReader(io.BytesIO(file), strict=True)
         if reader.encrypted:

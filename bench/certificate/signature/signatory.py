@@ -19,7 +19,6 @@ from bench.run.signing import read_private, write_private
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
-MISSING: Final = "certificates need the package {}: pip install 'triaxial-bench[certificate]'"
 SUFFIX: Final = ".crt"
 """The chain of a key stands beside it, in a file of its name with this added."""
 _DAYS_IN_FORCE: Final = 3652
@@ -70,13 +69,10 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
     Return the file of the certificate and its fingerprint. Raises `RecordError` where there is a file already, and
     for a folder that others may enter; `Refused` for a name that no certificate can have.
     """
-    try:
-        from cryptography import x509
-        from cryptography.hazmat.primitives import hashes, serialization
-        from cryptography.hazmat.primitives.asymmetric import ec
-        from cryptography.x509.oid import NameOID
-    except ImportError as error:
-        raise Refused(MISSING.format("cryptography")) from error
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import NameOID
 
     key = ec.generate_private_key(ec.SECP256R1())
     try:
@@ -119,10 +115,8 @@ def signatory_of(key: str, chain: Path | None, passphrase: Callable[[], bytes], 
 
 def certificates_in(file: Path) -> tuple[Certificate, ...]:
     """Return the certificates of a file (PEM). Raises `Refused` where it has none."""
-    try:
-        from cryptography import x509
-    except ImportError as error:
-        raise Refused(MISSING.format("cryptography")) from error
+    from cryptography import x509
+
     try:
         return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except OSError as error:

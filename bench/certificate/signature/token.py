@@ -29,12 +29,8 @@ def signatory_in_token(
     `chain` stands for the certificate in the token where it is given. Raises `Refused` for an address that names
     not one key, a module that is none, a PIN that the token does not take.
     """
-    try:
-        import pkcs11
-    except ImportError as error:
-        raise Refused(
-            "a key in a token needs the package python-pkcs11: pip install 'triaxial-bench[pkcs11]'"
-        ) from error
+    import pkcs11
+
     path, module = _parts(address)
     told = address.partition("?")[0]
     try:

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.api.errors import Refused
-from bench.certificate.signature.signatory import MISSING, Signatory
+from bench.certificate.signature.signatory import Signatory
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -200,9 +200,7 @@ def _told(error: Exception) -> str:
 
 
 def _packages() -> tuple[Any, Any, Any]:
-    try:
-        from lxml import etree
-        from signxml import algorithms, xades
-    except ImportError as error:
-        raise Refused(MISSING.format(error.name or "signxml")) from error
+    from lxml import etree
+    from signxml import algorithms, xades
+
     return etree, xades, algorithms

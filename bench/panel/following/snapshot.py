@@ -41,6 +41,7 @@ from bench.readings.reading import Reading
 from bench.run.answers import AskedPrompt
 from bench.run.events import Event
 from bench.run.log import in_words
+from bench.run.samples import OUTLIER_LEAST
 from bench.run.sentences import duration
 from bench.run.states import ENDED, RunState
 from bench.run.time_left import TimeLeft
@@ -197,6 +198,8 @@ def _reading(seen: Seen) -> dict[str, Any] | None:
 def _channel(reading: Reading, i: int) -> dict[str, Any]:
     sd, unit = reading.sd[i], reading.unit
     drift, p, outlier = reading.drift[i], reading.drift_p[i], reading.outlier[i]
+    if reading.samples_taken < OUTLIER_LEAST:  # an earlier version recorded one of three
+        outlier = None
     steady = None if p is None else p >= DRIFTS
     drifted = ""
     if drift is not None and p is not None:
