@@ -22,6 +22,7 @@ from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximi
 from bench.analysis.calibration.repeats_likelihood import DIGITS
 from bench.analysis.calibration.result import Noise, widening
 from bench.base.arrays import CHANNELS, HOUR, Floats, Ints, rms
+from bench.base.looks import holm
 from bench.model.conditions import Conditions
 
 ASKED_P: Final = 0.01
@@ -139,7 +140,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
         start[len(basic) - 1] = 0.0
     base = len(basic)
     asked = asked_for(Projection.at(mixed, start), mixed.columns, base)
-    chance, open_to = asked.chance, _wander(further, asked.expected)
+    chance, open_to = holm(asked.chance), _wander(further, asked.expected)
     kept = np.concatenate([np.ones(base, dtype=bool), chance < ASKED_P])
     if not np.any(kept[base:]):
         return Shared(fit, wander=open_to)
