@@ -16,12 +16,13 @@ from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_pro
 from bench.analysis.calibration.estimator import Estimator, Task
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
-from bench.analysis.calibration.known import LEAST_DOF, KnownNoise, KnownStand
+from bench.analysis.calibration.known import KnownNoise, KnownStand
 from bench.analysis.calibration.linear import linear_estimate
 from bench.analysis.calibration.noise import OF_RESIDUALS
 from bench.analysis.calibration.noise_notes import notes_on_noise
 from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import (
+    LEAST_DOF,
     Calibration,
     CalibrationError,
     Estimate,

@@ -13,19 +13,14 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.analysis.calibration.result import Noise
+from bench.analysis.calibration.result import LEAST_DOF, Noise
 from bench.base.arrays import Floats, rms
 
 CONTRADICTS_P: Final = 0.01
 """Noise of a run that is that much unlike what is known is taken as the run has it."""
 
-LEAST_DOF: Final = 4.0
-"""Degrees of freedom that a size has at least: a stated one stands for those that readings lack.
-
-Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
-"""
 LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
-"""So many signals tell a size as well: two of three tell of the reading noise, the third of the setting."""
+"""So many free signals tell a size that well: two of three tell of the reading noise, the third of the setting."""
 
 
 @dataclass(frozen=True)

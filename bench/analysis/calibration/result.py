@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 COVERAGE_FACTOR: Final = 2.0
 """U is so many times u."""
 
+LEAST_DOF: Final = 4.0
+"""Degrees of freedom with which a size of the noise enters at least: a prior stands for those that readings lack.
+
+Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
+"""
+
 LACK_OF_FIT_P: Final = 0.01
 """A model fits readings where chance leaves as much at least this often."""
 
@@ -143,8 +149,8 @@ class Noise:
 
 
 def widening(dof: float) -> float:
-    """Return sqrt(nu/(nu - 2)), by which a size with nu degrees of freedom enters larger; nu is 4 at least."""
-    nu = max(dof, 4.0)
+    """Return sqrt(nu/(nu - 2)), by which a size with nu degrees of freedom enters larger; `LEAST_DOF` at least."""
+    nu = max(dof, LEAST_DOF)
     return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
 
 
