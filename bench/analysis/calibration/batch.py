@@ -18,7 +18,7 @@ from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.known import KnownNoise, KnownStand
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, setting_limits
 from bench.analysis.calibration.repeats_likelihood import believed_sizes
-from bench.analysis.calibration.result import CalibrationError, Noise
+from bench.analysis.calibration.result import LEAST_DOF, CalibrationError, Noise
 from bench.base.arrays import Floats, Ints, unit_vectors
 from bench.model.block import Block, linear_columns
 from bench.model.conditions import Conditions
@@ -220,8 +220,8 @@ def _joined(
 
 def _widening(dof: Floats) -> Floats:
     """By how much sizes that are estimates enter larger, as `result.widening`."""
-    nu = np.maximum(dof, 4.0)
-    return np.where(np.isinf(nu), 1.0, np.sqrt(nu / np.where(np.isinf(nu), 4.0, nu - 2.0)))
+    nu = np.maximum(dof, LEAST_DOF)
+    return np.where(np.isinf(nu), 1.0, np.sqrt(nu / np.where(np.isinf(nu), 1.0, nu - 2.0)))
 
 
 def _step(

@@ -16,11 +16,13 @@ from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_pro
 from bench.analysis.calibration.estimator import Estimator, Task
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
-from bench.analysis.calibration.known import KnownStand
+from bench.analysis.calibration.known import KnownNoise, KnownStand
 from bench.analysis.calibration.linear import linear_estimate
+from bench.analysis.calibration.noise import OF_RESIDUALS
 from bench.analysis.calibration.noise_notes import notes_on_noise
 from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import (
+    LEAST_DOF,
     Calibration,
     CalibrationError,
     Estimate,
@@ -32,6 +34,7 @@ from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
+from bench.readings.corrected import VOLTS
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
@@ -79,9 +82,12 @@ def calibrate(
     )
     resolution = (rows if len(rows) else chosen.free).resolution
     start = first_guess(problem, rows.signal, resolution)
-    of_noise = None if known is None else known.noise
+    of_noise = KnownNoise.of_bench(stand_u) if readings.unit == VOLTS else None
+    if known is not None and known.noise is not None:
+        of_noise = known.noise
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution, known=of_noise)
     fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
+    _refuse_untold_noise(fit.noise, readings.unit)
     fit_test = gls.lack_of_fit(problem, fit)
     tails = heavy_tails(problem, fit)
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
@@ -258,6 +264,17 @@ def _fitted(
         for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
+
+
+def _refuse_untold_noise(noise: Noise, unit: str) -> None:
+    """Refuse sizes of the noise that hardly any reading tells and nobody stated: u would be an accident."""
+    if noise.source != OF_RESIDUALS or noise.prior is not None or noise.reading_dof >= LEAST_DOF:
+        return
+    raise CalibrationError(
+        "so few readings tell nothing of their noise, and no size of it counts beside them: measure more points or "
+        + ("passes, or state voltmeter_error in the bench file" if unit == VOLTS else
+           f"passes, or give the signals in V (they are in {unit}, the bench file's voltmeter_error in V)")
+    )
 
 
 def _birge(test: LackOfFit, shared: Shared) -> float:

@@ -22,10 +22,11 @@ from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximi
 from bench.analysis.calibration.repeats_likelihood import DIGITS
 from bench.analysis.calibration.result import Noise, widening
 from bench.base.arrays import CHANNELS, HOUR, Floats, Ints, rms
+from bench.base.looks import holm
 from bench.model.conditions import Conditions
 
 ASKED_P: Final = 0.01
-"""A component is taken in where chance alone would ask for it less often than this."""
+"""Components are taken in where chance alone would ask for any of them less often than this."""
 HARDLY_ANY: Final = 0.01
 """A component whose variance is a smaller part of that of the noise has been taken in by another."""
 MOST_SIGNALS: Final = 1500
@@ -43,7 +44,7 @@ class Component:
     """A variance that readings share; `size` is its standard deviation in the unit of the signal, rad of an angle.
 
     `what` says what shares it, `channels` in which; `dof` are its degrees of freedom, and `p` is the probability
-    that chance alone asks for it as much.
+    that chance alone asks for any component as much.
     """
 
     what: str
@@ -138,8 +139,8 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
     if not fit.noise.setting_rad > 0:
         start[len(basic) - 1] = 0.0
     base = len(basic)
-    asked = asked_for(Projection.at(mixed, start), mixed.columns, base)
-    chance, open_to = asked.chance, _wander(further, asked.expected)
+    asked = asked_for(Projection.at(mixed, start), mixed.columns, base, fit.noise.reading_dof)
+    chance, open_to = _of_family(further, asked.chance), _wander(further, asked.expected)
     kept = np.concatenate([np.ones(base, dtype=bool), chance < ASKED_P])
     if not np.any(kept[base:]):
         return Shared(fit, wander=open_to)
@@ -161,6 +162,17 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
     wander = np.where(found_drifts > 0, found_drifts, open_to)
     # one run tells little of a walk, and the three of a block are of one kind: none is below their mean
     return replace(shared, wander=np.maximum(wander, rms(wander)))
+
+
+def _of_family(terms: list[_Term], chance: Floats) -> Floats:
+    """Return the probabilities (k,) that chance alone asks for any kind of component as much as for that of each.
+
+    The channels of a kind are asked together (R. A. Fisher's combination), the kinds as one family (Holm).
+    """
+    kinds = list(dict.fromkeys(t.what for t in terms))
+    of = np.array([kinds.index(t.what) for t in terms], dtype=np.int64)
+    surprise = np.bincount(of, -2.0 * np.log(np.maximum(chance, 1e-300)))
+    return holm(special.chdtrc(2.0 * np.bincount(of), surprise))[of]
 
 
 def _wander(terms: list[_Term], variances: Floats) -> Floats:

@@ -21,6 +21,7 @@ from bench.analysis.calibration.known import KnownNoise
 from bench.analysis.calibration.noise import (
     LEAST_REPEATS,
     RepeatedNoise,
+    Residuals,
     noise_from_repeats,
     noise_from_residuals,
     repeat_groups,
@@ -30,7 +31,7 @@ from bench.analysis.calibration.noise import (
 )
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise, widening
 from bench.base.arrays import Floats, Ints, rms
-from bench.model.block import Block
+from bench.model.block import COEFFICIENTS, Block
 
 MOST_ITERATIONS: Final = 20
 STANDS_STILL: Final = 5e-3
@@ -40,6 +41,8 @@ What is left then is smaller by the curvature of the model, about 1e-5, once mor
 """
 NEARLY_STILL: Final = 1e-2
 """Below this part the sizes of the noise are no longer estimated anew: they would not change."""
+ESTIMATIONS: Final = 8
+"""So many steps estimate the sizes of the noise: they may go to and fro between two maxima of their likelihood."""
 FAR_FROM_STILL: Final = 0.1
 """After the last iteration a point that still moves by more is no estimate."""
 LEAST_NOISE: Final = 1e-11
@@ -114,32 +117,43 @@ def fit(
     groups = _groups_without(problem, shifts)
     places = _places(problem, len(shifts), len(others))
     moved, repeats = np.inf, RepeatedNoise(floor, groups, one_size=one_size)
-    for _ in range(MOST_ITERATIONS):
+    for iteration in range(MOST_ITERATIONS):
         system = linearise(problem, signal, block, others, shifts)
         if noise is not None:
             sizes = noise
-        elif moved > NEARLY_STILL:
-            sizes = repeats.sizes(system.left, system.slope) or estimate_noise(
-                problem, system, groups, others, floor
-            )
-            sizes = sizes if known is None else known.joined(sizes)
+        elif moved > NEARLY_STILL and iteration < ESTIMATIONS:
+            of_repeats = repeats.sizes(system.left, system.slope)
+            if of_repeats is None:
+                sizes = estimate_noise(problem, system, groups, others, floor, known)
+            else:
+                sizes = of_repeats if known is None else known.joined(of_repeats)
         own = solve(problem, system, sizes.widened(), others)
         step = np.zeros(FIXED + len(others))
         step[places.unknowns] = own.step[places.own]
         block = Block.from_vector(block.vector + step[:FIXED])
         others = others + step[FIXED:]
         # a shift enters no derivative, so it has no part in whether the point stands still
-        moved = float(np.max(np.abs(own.step[places.own]) / np.sqrt(np.diag(own.covariance)[places.own])))
+        steps = np.abs(own.step[places.own]) / np.sqrt(np.diag(own.covariance)[places.own])
+        moved = float(np.max(steps))
         if moved <= STANDS_STILL:
             break
     else:
         if not moved < FAR_FROM_STILL:
-            raise CalibrationError(
-                "the fit does not come to rest: readings and model are too far apart for it; look for rows of "
-                "another installation, another block or another unit"
-            )
+            raise _not_converged(problem, system, int(places.unknowns[np.argmax(steps)]), moved)
     gain = own.gain(system, sizes.widened())
     return _result(problem, system, block, others, sizes, places, own.step, own.covariance, gain, shifts)
+
+
+def _not_converged(problem: Problem, system: System, unknown: int, moved: float) -> CalibrationError:
+    """Say that a fit did not converge, what still moved (times its standard uncertainty), and what it leaves."""
+    names = (*COEFFICIENTS, *problem.names())
+    left = rms(system.left) if len(system.left) else rms(system.free.left)
+    unit = "" if len(system.left) else " g"
+    return CalibrationError(
+        f"the fit did not converge: after {MOST_ITERATIONS} steps {names[unknown]} still moves by {moved:.2g} of its "
+        f"standard uncertainty, and the readings are {left:.2g}{unit} from the model (root mean square); look for "
+        "rows of another installation, another block or another unit, and for an effect that they do not determine"
+    )
 
 
 @dataclass(frozen=True)
@@ -281,8 +295,13 @@ def _result(
     )  # fmt: skip
 
 
-def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
-    """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals."""
+def estimate_noise(
+    problem: Problem, system: System, groups: Ints, others: Floats, floor: float, known: KnownNoise | None = None
+) -> Noise:
+    """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals.
+
+    What is `known` of the sizes counts beside either.
+    """
     left, slope, free = system.left, system.slope, system.free
     if len(left):
         scatter = scatter_of_repeats(left, slope, groups)
@@ -290,17 +309,24 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
             return noise_from_repeats(scatter, floor)
     # the likelihood has the random effects about their prior means, so their estimates are not taken off
     fixed = system.jacobian.shape[2] - len(others)
-    whole = left + system.jacobian[:, :, fixed:] @ (others - problem.prior_mean)
-    scaled = system.jacobian.copy()
-    scaled[:, :, fixed:] = problem.by_prior(scaled[:, :, fixed:])
-    if not len(free.left):
-        return noise_from_residuals(whole, scaled, slope, fixed, floor)
-    own = np.column_stack(
-        [free.jacobian, free.left + free.jacobian[:, fixed:] @ (others - problem.prior_mean)]
+    off = others - problem.prior_mean
+    whole = left + system.jacobian[:, :, fixed:] @ off
+    columns = np.concatenate([system.jacobian, whole[:, :, None]], axis=2)
+    moduli = np.zeros((0, columns.shape[2]))
+    if len(free.left):
+        moduli = np.column_stack([free.jacobian, free.left + free.jacobian[:, fixed:] @ off])
+    for of in (columns, moduli):
+        of[..., fixed:-1] = problem.by_prior(of[..., fixed:-1])
+    # so few residuals tell one size: of channels that other runs found unlike, each in its ratio
+    ratio = np.ones(3) if known is None else known.channels / rms(known.channels)
+    moduli = moduli / np.linalg.norm(free.by_signal * ratio, axis=1)[:, None]
+    found = noise_from_residuals(
+        Residuals(columns / ratio[:, None], slope / ratio, moduli, fixed), floor, known
     )
-    own[:, fixed:-1] = problem.by_prior(own[:, fixed:-1])
-    alike = np.linalg.norm(free.by_signal, axis=1)
-    return noise_from_residuals(whole, scaled, slope, fixed, floor, own / alike[:, None])
+    if np.ptp(ratio) == 0.0:
+        return found
+    x, y, z = (found.reading * ratio).tolist()
+    return replace(found, channels=(x, y, z), channel_dof=(found.reading_dof,) * 3)
 
 
 @dataclass(frozen=True)

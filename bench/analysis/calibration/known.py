@@ -13,24 +13,52 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.analysis.calibration.result import Noise
+from bench.analysis.calibration.result import LEAST_DOF, Noise
 from bench.base.arrays import Floats, rms
 
 CONTRADICTS_P: Final = 0.01
 """Noise of a run that is that much unlike what is known is taken as the run has it."""
+
+LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
+"""So many free signals tell a size that well: two of three tell of the reading noise, the third of the setting."""
 
 
 @dataclass(frozen=True)
 class KnownNoise:
     """Sizes (3,) of the channels in the unit and of the setting, rad, each with degrees of freedom.
 
-    The degrees of freedom hold how far the noise of one run may be from that of the others.
+    Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
+    freedom. Those of other runs hold how far the noise of one run may be from that of the others; those of a
+    statement (`stated`) count only as far as readings lack them.
     """
 
     channels: Floats
     channel_dof: Floats
     setting_rad: float
     setting_dof: float
+    stated: bool = False
+
+    @classmethod
+    def of_bench(cls, sizes: Mapping[str, float]) -> KnownNoise | None:
+        """Return what a bench file's sizes by name (V, rad) say; None where it states no noise of the voltmeter."""
+        reading, setting = sizes.get("voltmeter_error", 0.0), sizes.get("setting_error", 0.0)
+        if not reading > 0.0:
+            return None
+        return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
+
+    def beside(self, signals: float) -> KnownNoise | None:
+        """Return what counts beside a fit that leaves so many signals free; None where they tell the noise alone."""
+        if not self.stated:
+            return self
+        lacking = LEAST_DOF * (1.0 - max(signals, 0.0) / LEAST_SIGNALS)
+        if lacking <= 0.0:
+            return None
+        return replace(self, channel_dof=np.full(3, lacking), setting_dof=lacking)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the reading noise, as those of `Noise.reading_dof`."""
+        return float(np.mean(self.channel_dof))
 
     def given(self) -> Noise:
         """Return the sizes as those of readings that are yet to come."""
@@ -43,7 +71,7 @@ class KnownNoise:
 
     def joined(self, own: Noise) -> Noise:
         """Return the sizes of a run with what was known of them; the run's own where the two contradict."""
-        if np.isinf(own.dof):
+        if np.isinf(own.dof) or self.beside(own.dof) is None:
             return own
         dof = np.asarray(own.channel_dof) if own.channel_dof is not None else np.full(3, own.reading_dof)
         if self.contradicts(own.by_channel, dof):

@@ -8,12 +8,15 @@ diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2 d d^T. The sizes are those o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy import special
 
+from bench.analysis.calibration.known import CONTRADICTS_P, LEAST_SIGNALS, KnownNoise
 from bench.analysis.calibration.repeats_likelihood import believed_sizes
-from bench.analysis.calibration.result import Noise
+from bench.analysis.calibration.result import Noise, NoisePrior
 from bench.base.arrays import Floats, Ints, least_squares, rms, unit_vectors
 from bench.model.conditions import Conditions
 
@@ -145,78 +148,142 @@ def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: f
     return float(np.sqrt(max(low, 0.0))), float(np.sqrt(high))
 
 
+OF_RESIDUALS: Final = "residuals"
 LEAST_PART: Final = 1e-4
 """Least reading noise that residuals can tell, as a part of what they are: below it the sums cancel."""
 MOST_PART: Final = 10.0
 
 
-def noise_from_residuals(
-    response: Floats, design: Floats, slope: Floats, fixed: int, floor: float, free: Floats | None = None
-) -> Noise:
-    """Restricted maximum likelihood of the two noise sizes from what the model leaves.
+@dataclass(frozen=True)
+class Residuals:
+    """What the model leaves, for the restricted likelihood of the two sizes of the noise.
 
-    For data without enough repeats. `response` (n, 3), `design` (n, 3, p) whose columns from `fixed` on are
-    random effects scaled to unit prior standard deviation, `slope` (n, 3). `free` (m, p + 1) are rows of
-    moduli, the response last, in the unit of the signal: they have the reading noise alone.
+    `columns` (n, 3, p + 1) are the derivatives by the unknowns, and the response last; those from `fixed` on are
+    random effects scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are the same
+    of moduli, in the unit of the signal: they have the reading noise alone.
     """
-    n, _, p = design.shape
-    further = np.zeros((0, p + 1)) if free is None else free
-    if n == 0:
-        return _noise_from_free(further, floor)
-    count = 3 * n + len(further)
-    unit, length = unit_vectors(slope)
-    columns = np.concatenate([design, response[:, :, None]], axis=2)
-    gram = np.einsum("nip,niq->pq", columns, columns) + further.T @ further
-    along = np.einsum("nip,ni->np", columns, unit)
-    prior = np.zeros(p)
-    prior[fixed:] = 1.0
 
-    def minus_two_log_likelihood(log_sizes: Floats) -> tuple[float, Floats]:
-        """Return -2 log L and its derivatives by the logarithms of the sizes."""
+    columns: Floats
+    slope: Floats
+    free: Floats
+    fixed: int
+
+    @property
+    def count(self) -> int:
+        """Signals and moduli."""
+        return 3 * len(self.columns) + len(self.free)
+
+    @property
+    def unknowns(self) -> int:
+        """Coefficients and random effects, p."""
+        return self.columns.shape[2] - 1
+
+    @cached_property
+    def steepness(self) -> float:
+        """Root mean square of |du/dphi|, unit/rad."""
+        return max(rms(self._along[1]), 1e-300) if len(self.slope) else 1.0
+
+    def spread(self, unknowns: int) -> float:
+        """Return what least squares with the first so many unknowns leave, over their degrees of freedom."""
+        rows = np.vstack([self.columns.reshape(-1, self.unknowns + 1), self.free])
+        _, left = least_squares(rows[:, :unknowns], rows[:, -1])
+        return float(np.sqrt(left @ left / max(self.count - unknowns, 1)))
+
+    @cached_property
+    def _gram(self) -> Floats:
+        return np.asarray(
+            np.einsum("nip,niq->pq", self.columns, self.columns) + self.free.T @ self.free, dtype=np.float64
+        )
+
+    @cached_property
+    def _along(self) -> tuple[Floats, Floats]:
+        unit, length = unit_vectors(self.slope)
+        return np.einsum("nip,ni->np", self.columns, unit), length
+
+    def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
+        """Return -2 log L, its derivatives by the logarithms of the two sizes, and y^T P y, which is part of it."""
+        along, length = self._along
+        p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)
         part = setting * length**2
         weight = part / (reading * (reading + part))
-        whitened = gram / reading - (along * weight[:, None]).T @ along
-        normal = whitened[:p, :p] + np.diag(prior)
+        whitened = self._gram / reading - (along * weight[:, None]).T @ along
+        normal = whitened[:p, :p] + np.diag((np.arange(p) >= self.fixed).astype(np.float64))
         scale = 1 / np.sqrt(np.diag(normal))
         lower = np.linalg.inv(np.linalg.cholesky(normal * np.outer(scale, scale))) * scale
         inverse = lower.T @ lower
         solution = inverse @ whitened[:p, p]
-        log_det = count * np.log(reading) + np.sum(np.log1p(part / reading))
+        log_det = self.count * np.log(reading) + np.sum(np.log1p(part / reading))
         log_det -= 2 * np.sum(np.log(np.diag(lower)))
         # the derivative of log det + misfit is the trace of this matrix times that of the whitened Gram matrix
         ends = np.append(-solution, 1.0)
         trace = np.outer(ends, ends)
         trace[:p, :p] += inverse
         each = np.einsum("np,pq,nq->n", along, trace, along, optimize=True)
-        by_reading = count - np.sum(part / (reading + part)) - np.sum(gram * trace) / reading
+        by_reading = self.count - np.sum(part / (reading + part)) - np.sum(self._gram * trace) / reading
         by_reading += np.sum(each * weight * (2 * reading + part) / (reading + part))
         by_setting = np.sum(part / (reading + part)) - np.sum(each * part / (reading + part) ** 2)
-        value = log_det + whitened[p, p] - solution @ whitened[:p, p]
-        return float(value), 2 * np.array([by_reading, by_setting])
+        misfit = whitened[p, p] - solution @ whitened[:p, p]
+        return float(log_det + misfit), 2 * np.array([by_reading, by_setting]), float(misfit)
 
-    whole = np.vstack([columns.reshape(3 * n, p + 1), further])
-    _, left = least_squares(whole[:, :p], whole[:, p])
-    freedom = max(count - p, 1)
-    guess = max(float(np.sqrt(left @ left / freedom)), floor)
-    steepness = max(float(np.sqrt(np.mean(length**2))), 1e-300)
-    start = np.log([guess, 0.3 * guess / steepness])
-    low = np.log([max(floor, LEAST_PART * guess), LEAST_SETTING * guess / steepness])
-    high = np.log([MOST_PART * guess, MOST_PART * guess / steepness])
-    bounds = list(zip(low.tolist(), high.tolist(), strict=True))
+
+def noise_from_residuals(of: Residuals, floor: float, known: KnownNoise | None = None) -> Noise:
+    """Restricted maximum likelihood of the two sizes of the noise from what the model leaves.
+
+    For data without enough repeats. What is `known` of the sizes counts in it as a prior: of a statement as much as
+    the residuals lack of degrees of freedom, of other runs as much as they tell, unless the residuals contradict.
+    """
+    signals = max(of.count - of.unknowns, 0)
+    known = None if known is None else known.beside(signals)
+    prior = None if known is None else _prior(of, known, floor)
+    if prior is None or (not prior.stated and signals >= LEAST_SIGNALS and prior.p < CONTRADICTS_P):
+        return _most_likely(of, floor, None)
+    return _most_likely(of, floor, prior)
+
+
+def _prior(of: Residuals, known: KnownNoise, floor: float) -> NoisePrior:
+    """Return what is known, compared with the residuals: y^T P y over its degrees of freedom has an F distribution."""
+    reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
+    prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
+    if freedom <= 0:
+        return prior
+    sizes = [reading, max(known.setting_rad, LEAST_SETTING * reading / of.steepness)]
+    ratio = of.likelihood(np.log(sizes))[2] / freedom
+    above = float(special.fdtrc(freedom, known.dof, ratio))
+    return replace(prior, ratio=float(np.sqrt(ratio)), p=2.0 * min(above, 1.0 - above))
+
+
+def _most_likely(of: Residuals, floor: float, prior: NoisePrior | None) -> Noise:
+    signals, own = of.count - of.unknowns, of.spread(of.unknowns)
+    guess = max(own, floor)
+    setting, most, weight = 0.3 * guess / of.steepness, MOST_PART * guess, 0.0
+    if prior is not None:
+        guess, setting, weight = prior.reading, prior.setting_rad or setting, prior.dof
+        most = MOST_PART * max(guess, of.spread(of.fixed))
+    source = OF_RESIDUALS if prior is None else prior.source
+    if not len(of.columns):
+        dof = max(signals, 0) + weight or 1.0
+        whole = float(np.sqrt((max(signals, 0) * own**2 + weight * guess**2) / dof))
+        return Noise(max(whole, floor), 0.0, dof, source, prior=prior)
+    stated = np.array([guess, 0.0 if prior is None else prior.setting_rad])
+
+    def minus_two_log_posterior(log_sizes: Floats) -> tuple[float, Floats]:
+        value, slope, _ = of.likelihood(log_sizes)
+        # a scaled inverse chi-square of each variance
+        ratio = np.square(stated / np.exp(log_sizes))
+        return value + weight * float(np.sum(2 * log_sizes + ratio)), slope + 2 * weight * (1 - ratio)
+
+    low = np.log([max(floor, LEAST_PART * guess), LEAST_SETTING * guess / of.steepness])
+    high = np.log([most, most / of.steepness])
+    start = np.clip(np.log([guess, setting]), low, high)
     from scipy.optimize import minimize
 
-    found = minimize(minus_two_log_likelihood, start, method="L-BFGS-B", jac=True, bounds=bounds)
-    reading, setting = np.exp(found.x)
-    limits = setting_limits(float(reading), float(setting), float(np.mean(length**2)), freedom / 3)
-    return Noise(float(reading), float(setting), float(freedom), "residuals", limits)
-
-
-def _noise_from_free(rows: Floats, floor: float) -> Noise:
-    """Noise of free positions alone: what is left over the degrees of freedom, no setting being known."""
-    _, left = least_squares(rows[:, :-1], rows[:, -1])
-    freedom = max(len(rows) - rows.shape[1] + 1, 1)
-    return Noise(max(float(np.sqrt(left @ left / freedom)), floor), 0.0, float(freedom), "residuals")
+    bounds = list(zip(low.tolist(), high.tolist(), strict=True))
+    found = minimize(minus_two_log_posterior, start, method="L-BFGS-B", jac=True, bounds=bounds)
+    reading, angle = np.exp(found.x).tolist()
+    dof = max(signals, 0) + 1.5 * weight or 1.0
+    limits = setting_limits(reading, angle, of.steepness**2, dof / 3)
+    return Noise(reading, angle, float(dof), source, limits, prior=prior)
 
 
 def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:

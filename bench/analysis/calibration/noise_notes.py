@@ -6,11 +6,14 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from bench.analysis.calibration.components import ANGLE, DRIFT, Component, Shared
-from bench.analysis.calibration.result import Noise
+from bench.analysis.calibration.result import Noise, NoisePrior
 from bench.base.arrays import ARCSEC, CHANNELS
 
 UNEQUAL_P: Final = 0.001
 """Channels of different noise, and heavy tails, are told from here on: not in every hundredth run."""
+
+DISAGREES_P: Final = 0.05
+"""Few readings seldom contradict a statement: a doubt is told early."""
 
 _SHARED_BY: Final = {
     "setting": "the readings at a setting (installation and point) in all passes",
@@ -22,7 +25,7 @@ _SHARED_BY: Final = {
 
 def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, unit: str) -> tuple[str, ...]:
     """Return the sentences; `tails` is the probability of such tails, `birge` by how much u was widened."""
-    notes = []
+    notes = [] if noise.prior is None else [_on_prior(noise.prior, unit)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
         notes.append(f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own")
@@ -43,6 +46,21 @@ def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, uni
             "(Birge ratio)"
         )
     return tuple(notes)
+
+
+def _on_prior(prior: NoisePrior, unit: str) -> str:
+    """Say that u rests on a statement, and whether the readings agree with it."""
+    where = "the bench file states" if prior.stated else "other runs told"
+    rests = (
+        f"u rests on the sizes of the noise that {where} (reading {prior.reading:.2g} {unit}, setting "
+        f"{prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
+    )
+    if not prior.readings_dof > 0:
+        return f"{rests}: so few readings leave nothing over to tell the noise, not even whether that is so"
+    scatter = f"they scatter {prior.ratio:.2g} times as much"
+    if prior.p < DISAGREES_P:
+        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points, or mend the statement"
+    return f"{rests}, for the readings alone tell little of it: {scatter} (p = {prior.p:.2g})"
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:

@@ -159,14 +159,16 @@ class Asked:
     expected: Floats
 
 
-def asked_for(at: Projection, Z: Columns, inside: int) -> Asked:
+def asked_for(at: Projection, Z: Columns, inside: int, dof: float) -> Asked:
     """Return what is asked for of the components after the first `inside`.
 
     The first `inside` components are those whose variances are being estimated: what they take is taken off the
     score and the information, for their estimates come from the repeats alone and are not those of the greatest
     likelihood (the C(alpha) test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213).
-    A score is a quadratic form, taken as a chi-square with the degrees of freedom that its mean and variance give
-    (Satterthwaite, Biometrics Bull. 2 (1946) 110): of few degrees, as a drift has, large ones are not rare.
+    A quadratic form over its mean is taken as chi-square over its degrees of freedom, which its mean and variance
+    give (Satterthwaite, Biometrics Bull. 2 (1946) 110), and as F for the sizes inside are estimates, with `dof`
+    degrees of freedom at most: of few degrees of either kind, as a drift and few repeats have, large values are
+    not rare.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])
@@ -179,7 +181,11 @@ def asked_for(at: Projection, Z: Columns, inside: int) -> Asked:
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
     freedom = traces[inside:] ** 2 / (2.0 * own)
-    chance = special.chdtrc(freedom, np.maximum(freedom + size * np.sqrt(2.0 * freedom), 0.0))
+    # were the score F - 1 of freedom over `within`, this part of its information would be left
+    part = np.clip(np.where(told, left / own, 1.0), 0.0, 1.0 - 1e-6)
+    within = np.minimum(freedom * part / (1.0 - part), dof)
+    ratio = np.maximum(1.0 + size * np.sqrt(2.0 / freedom + 2.0 / within), 0.0)
+    chance = special.fdtrc(freedom, within, ratio)
     u = 1.0 / np.sqrt(np.where(told, left, np.inf))
     # the mean of a normal distribution that ends at zero; far below zero its tail is that of u/|size|
     tail = np.exp(-0.5 * size**2 - special.log_ndtr(size)) / np.sqrt(2.0 * np.pi)

@@ -4,7 +4,7 @@ Deviations of repeats from the mean of their group have a covariance R = diag(v_
 group. Fisher scoring: information 1/2 tr(R^-1 R_k R^-1 R_l), score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
 closed form (Sherman and Morrison). Whether the channels have one size is asked by the score where they have.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc.
-44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for sizes that go to zero.
+44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of sizes that go to zero.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from scipy import special
 
+from bench.analysis.calibration.result import LEAST_DOF
 from bench.base.arrays import Floats, Ints, Mask
 
 OWN: Final = np.eye(4)
@@ -26,8 +27,6 @@ LEAST_SETTING: Final = 1e-6
 """Least variance of the setting, as it shows in the signals, as a part of that of the reading."""
 LEAST_CHANNEL: Final = 1e-6
 """Least variance of a channel as a part of the mean of the three: below it the sums cancel."""
-LEAST_FREEDOM: Final = 4.0
-"""Fewer degrees of freedom of a channel's own size tell little of it: few repeats give it to the setting."""
 ROUNDS: Final = 60
 EQUAL_P: Final = 0.2
 """Channels are of one size where a test of equality gives this or more: a wrong size would be in every u."""
@@ -48,16 +47,15 @@ def sizes_of(
     floor: float | Floats,
     by: Floats = OWN,
     start: Floats | None = None,
-    *,
-    held_up: bool = False,
+    about: Floats | None = None,
 ) -> Floats:
     """Return the variances of x, y, z (unit^2) and of the setting (rad^2) of many runs, shape (runs, 4).
 
     `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,), `slope`
     (runs, groups, 3) du/dphi, unit/rad; `floor` (runs,) or one number the least noise believed; `by` one of
     `OWN`, `COMMON`; `start` (runs, 4) where to begin. A run without any slope has a setting error of zero.
-    `held_up` adds the logarithm of the size of each channel to that of the likelihood: as if each had a degree
-    of freedom less, and none goes to zero.
+    `about` (runs,) gives each variance of a channel a scaled inverse chi-square prior about that of its run, with
+    `LEAST_DOF` degrees of freedom: none goes to zero.
     """
     weight = freedom.astype(np.float64)
     slope2 = _mean_slope2(slope, weight)
@@ -69,12 +67,12 @@ def sizes_of(
     theta = start @ (by / by.sum(axis=0))
     least = np.maximum(least, LEAST_CHANNEL * (theta @ by.T)[:, :3].mean(axis=1))
     bottom = np.repeat(least[:, None], theta.shape[1], axis=1)
-    further = 1.0 if held_up else 0.0
     open_rows = np.arange(len(theta))
     for _ in range(ROUNDS):
         at = theta[open_rows]
         bottom[open_rows, -1] = LEAST_SETTING * _shown((at @ by.T)[:, :3].mean(axis=1), slope2[open_rows])
-        moved = _step(scatter[open_rows], weight, slope[open_rows], at, bottom[open_rows], by, further)
+        prior = None if about is None else about[open_rows, None]
+        moved = _step(scatter[open_rows], weight, slope[open_rows], at, bottom[open_rows], by, prior)
         theta[open_rows] = moved
         open_rows = open_rows[(np.abs(moved - at) > AT_REST * at).any(axis=1)]
         if not len(open_rows):
@@ -122,26 +120,15 @@ def believed_sizes(
         at_least = np.broadcast_to(floor, (count,))[own]
         variances[own] = sizes_of(scatter[own], freedom, slope[own], at_least, OWN, variances[own])
         dof[own] = freedom_of(freedom, slope[own], variances[own])[:, :3]
-    few = own[np.min(dof[own], axis=1) < LEAST_FREEDOM]
+    few = own[np.min(dof[own], axis=1) < LEAST_DOF]
     if len(few):
-        of = scatter[few], freedom, slope[few]
-        variances[few], dof[few] = _of_few(*of, np.broadcast_to(floor, (count,))[few], common[few])
+        # the setting error can take all that few repeats of a channel scatter: the size of all three is its prior
+        at_least = np.broadcast_to(floor, (count,))[few]
+        variances[few] = sizes_of(
+            scatter[few], freedom, slope[few], at_least, OWN, common[few], about=common[few, 0]
+        )
+        dof[few] = freedom_of(freedom, slope[few], variances[few], LEAST_DOF)[:, :3]
     return Sizes(variances, dof, p)
-
-
-def _of_few(
-    scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: Floats, common: Floats
-) -> tuple[Floats, Floats]:
-    """Return variances (runs, 4) and degrees of freedom (runs, 3) where repeats tell a channel's own size poorly.
-
-    The setting error can take all that few repeats of a channel scatter, so that its own size would go to zero
-    and u with it: sizes are held up, and one that is told poorly even then is that of all three at least.
-    """
-    variances = sizes_of(scatter, freedom, slope, floor, OWN, common, held_up=True)
-    dof = freedom_of(freedom, slope, variances)[:, :3]
-    own = variances[:, :3]
-    variances[:, :3] = np.where(dof < LEAST_FREEDOM, np.maximum(own, common[:, :3]), own)
-    return variances, dof
 
 
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
@@ -161,16 +148,18 @@ def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Flo
     return np.asarray(special.chdtrc(2, np.maximum(misfit, 0.0)))
 
 
-def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats) -> Floats:
+def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_dof: float = 0.0) -> Floats:
     """Return the degrees of freedom of the variances (runs, 4) of x, y, z and the setting, shape (runs, 4).
 
-    2 v^2/var(v) with var(v) from the information on all four: what the setting error takes is left out.
+    2 v^2/var(v) with var(v) from the information on all four: what the setting error takes is left out. Each
+    channel has `prior_dof` besides.
     """
     information = _information(_Inverse.of(variances, slope), freedom.astype(np.float64))
     scaled = information * variances[:, :, None] * variances[:, None, :]
     places = np.arange(4)
     # what no slope shows, or lies at its lower end, takes nothing from the others
     scaled[:, places, places] += 1e-9 * scaled.max(axis=(1, 2))[:, None]
+    scaled[:, places[:3], places[:3]] += prior_dof
     inverted = np.linalg.inv(scaled)
     return np.asarray(1.0 / np.einsum("rii->ri", inverted))
 
@@ -255,13 +244,16 @@ def _step(
     theta: Floats,
     bottom: Floats,
     by: Floats,
-    further: float,
+    prior: Floats | None,
 ) -> Floats:
     score, information = _score_and_information(scatter, weight, slope, theta @ by.T)
     # relative steps: variances of volts and of angles are many orders apart
     slopes = score @ by * theta
-    slopes[:, :-1] += further
     curvature = by.T @ information @ by * theta[:, :, None] * theta[:, None, :]
+    if prior is not None:
+        ratio, channels = prior / theta[:, :-1], np.arange(theta.shape[1] - 1)
+        slopes[:, :-1] += LEAST_DOF * (ratio - 1.0)
+        curvature[:, channels, channels] += LEAST_DOF * ratio
     held = (theta <= bottom) & (slopes <= 0.0)
     free = ~held
     curvature *= free[:, :, None] & free[:, None, :]

@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 COVERAGE_FACTOR: Final = 2.0
 """U is so many times u."""
 
+LEAST_DOF: Final = 4.0
+"""Degrees of freedom with which a size of the noise enters at least: a prior stands for those that readings lack.
+
+Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
+"""
+
 LACK_OF_FIT_P: Final = 0.01
 """A model fits readings where chance leaves as much at least this often."""
 
@@ -52,6 +58,43 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class NoisePrior:
+    """Sizes of the noise that were stated before the readings, and count beside them.
+
+    Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
+    `setting_rad`, 1 sigma, with `dof` degrees of freedom. `readings_dof` are those that the readings have beside it;
+    `ratio` is how many times the stated noise they scatter, with the two-sided probability `p` of being so far from
+    1 (NaN where they leave no degree of freedom). Sizes that are not `stated` are those of other runs.
+    """
+
+    reading: float
+    setting_rad: float
+    dof: float
+    readings_dof: float
+    ratio: float
+    p: float
+    stated: bool
+
+    @property
+    def source(self) -> str:
+        """Where the sizes of a noise come from beside which these count."""
+        where = "the bench file" if self.stated else "other runs"
+        return f"residuals and {where}" if self.readings_dof > 0 else where
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "reading_v": self.reading,
+            "setting_arcsec": self.setting_rad / ARCSEC,
+            "dof": self.dof,
+            "readings_dof": self.readings_dof,
+            "ratio": finite_or_none(self.ratio),
+            "p": finite_or_none(self.p),
+            "from": "bench file" if self.stated else "other runs",
+        }
+
+
+@dataclass(frozen=True)
 class Noise:
     """Sizes of what is fresh at each reading, 1 sigma.
 
@@ -61,7 +104,7 @@ class Noise:
     the values between which the setting error lies with about 95 %: repeats often tell little of it.
     `channels` are the sizes in x, y, z where they are not of one size, with degrees of freedom `channel_dof`;
     `reading` is their root mean square. `p_equal` is the probability of such a difference where all three are of
-    one size (NaN where not tested).
+    one size (NaN where not tested). `prior` is what was stated and counts beside too few readings, else None.
     """
 
     reading: float
@@ -72,6 +115,7 @@ class Noise:
     channels: tuple[float, float, float] | None = None
     channel_dof: tuple[float, float, float] | None = None
     p_equal: float = float("nan")
+    prior: NoisePrior | None = None
 
     @property
     def by_channel(self) -> Floats:
@@ -105,8 +149,8 @@ class Noise:
 
 
 def widening(dof: float) -> float:
-    """Return sqrt(nu/(nu - 2)), by which a size with nu degrees of freedom enters larger; nu is 4 at least."""
-    nu = max(dof, 4.0)
+    """Return sqrt(nu/(nu - 2)), by which a size with nu degrees of freedom enters larger; `LEAST_DOF` at least."""
+    nu = max(dof, LEAST_DOF)
     return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
 
 
@@ -335,6 +379,7 @@ class Calibration(HasCovariance):
                 "setting_limits_arcsec": self._setting_limits_arcsec(),
                 "dof": finite_or_none(self.noise.dof),
                 "source": self.noise.source,
+                "prior": None if self.noise.prior is None else self.noise.prior.to_json(),
             },
             "readings": {"used": self.used, "skipped": self.skipped},
             "model": self.model,

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from bench.analysis.calibration import CalibrationError, Noise, calibrate
 from bench.analysis.calibration.design import make_problem
-from bench.analysis.calibration.noise import noise_from_residuals
+from bench.analysis.calibration.noise import Residuals, noise_from_residuals
 from bench.model import Block, ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
@@ -316,7 +316,9 @@ def test_noise_from_residuals_maximises_the_restricted_likelihood():
     design_matrix = problem.jacobian(block, np.zeros(6))
     design_matrix[:, :, 12:] *= problem.prior_u
     left = readings.signal - problem.predict(block, np.zeros(6))
-    ours = noise_from_residuals(left, design_matrix, problem.slope(block, np.zeros(6)), 12, 1e-9)
+    columns = np.concatenate([design_matrix, left[:, :, None]], axis=2)
+    of = Residuals(columns, problem.slope(block, np.zeros(6)), np.zeros((0, 19)), 12)
+    ours = noise_from_residuals(of, 1e-9)
     np.testing.assert_allclose(np.log([ours.reading, ours.setting_rad]), best.x, atol=2e-3)
     fitted = calibrate(readings, MODEL, STAND_U, 9.81).noise
     np.testing.assert_allclose(np.log([fitted.reading, fitted.setting_rad]), best.x, atol=2e-3)

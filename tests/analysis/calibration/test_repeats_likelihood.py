@@ -74,6 +74,7 @@ def test_few_repeats_never_give_a_channel_hardly_any_noise():
     found = believed.variances[:, :3] / 3e-5**2
     assert np.any(alone < 1e-3)
     assert np.all(found > 1e-3)
-    told_poorly = ~believed.alike & np.any(believed.dof < 4.0, axis=1)
+    assert np.all(believed.dof >= 4.0)
+    told_poorly = ~believed.alike & np.any(alone < 0.1, axis=1)
     assert np.any(told_poorly)
     assert np.mean(1.0 / found[told_poorly]) < 2.0  # as with four degrees of freedom, for which u is widened
