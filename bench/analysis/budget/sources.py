@@ -19,6 +19,7 @@ from bench.analysis.budget.thermometer import thermometer_size
 from bench.analysis.calibration.design import SYMBOLS, WEAK
 from bench.analysis.calibration.known import KnownStand
 from bench.base.arrays import CHANNELS
+from bench.base.words import exact_duration
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import STAND_ERRORS, BenchFile
 from bench.files.bench.stand import ErrorSize, Location, MeasuredGravity
@@ -216,6 +217,9 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
         for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True)
     ]
     source = _stated("temperature", "T", "K", "run", section.temperature, usual, origin)
+    if section.temperature is not None and (time_s := section.temperature.correlation_time) is not None:
+        origin = f"{source.origin}, correlation time {exact_duration(time_s)}"
+        source = replace(source, common="time", correlation_s=time_s, origin=origin)
     return replace(
         source,
         origin=f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)",
