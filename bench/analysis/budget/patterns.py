@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.budget.error_source import ErrorSource
+from bench.analysis.budget.foundation import NAME as FOUNDATION
+from bench.analysis.budget.foundation import tilt_patterns
 from bench.analysis.budget.influence import Influence
 from bench.analysis.budget.seen import Seen
 from bench.analysis.budget.setup import Setup
@@ -35,6 +37,9 @@ def influences(source: ErrorSource, setup: Seen) -> tuple[Influence, ...]:
     elif isinstance(setup, Setup) and (source.name in STAND_ANGLES or source.angles):
         mount = setup.conditions.mount[:, None]
         patterns = [(setup.stand_slope(name), mount) for name in source.angles or (source.name,)]
+    elif isinstance(setup, Setup) and source.name == FOUNDATION:
+        tilts = tilt_patterns(setup.conditions, setup.block, setup.setting_slope, setup.model.installations)
+        patterns = [(tilt, _EVERYTHING) for tilt in tilts]
     else:
         patterns = _PATTERNS[source.kind](source, setup)
     return tuple(Influence.of(pattern, group) for pattern, group in patterns)

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.analysis.budget.alike import KnownMeters
 from bench.analysis.budget.error_source import Common, ErrorSource
+from bench.analysis.budget.foundation import foundation_of
 from bench.analysis.budget.learned import learned_sources
 from bench.analysis.budget.meters import Size, linearity_of, size_of
 from bench.analysis.budget.setup import Setup
@@ -61,7 +62,27 @@ def bench_sources(
     own = stand_sources(bench)
     if known is not None:
         own = learned_sources(own, known, setup.conditions.mounts)
-    return (*own, *hidden_sources(bench, setup.model, day), *effect_sources(setup))
+    return (
+        *own, *_foundation_source(bench), *hidden_sources(bench, setup.model, day), *effect_sources(setup)
+    )  # fmt: skip
+
+
+def signed_sources(
+    bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
+) -> tuple[ErrorSource, ...]:
+    """Return what is in the combined u of a calibration beside its readings and the stand's angles.
+
+    Local gravity is not: coefficients are stated per local g.
+    """
+    hidden = (source for source in hidden_sources(bench, model, day) if source.name != "gravity")
+    return (*_foundation_source(bench), *hidden)
+
+
+def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """Of a platform that a bench file says to tilt; what levellings show, a calibration takes in its place."""
+    stated = foundation_of(None, bench, levelled=False)
+    if stated is not None:
+        yield stated.source()
 
 
 def hidden_sources(
