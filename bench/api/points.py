@@ -9,6 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from bench.analysis.budget.setup import meters_of
+from bench.analysis.budget.sources import assumed_stand, signed_sources
 from bench.analysis.planning.goals import (
     Goal,
     coefficient_goals,
@@ -19,29 +21,42 @@ from bench.analysis.planning.goals import (
 )
 from bench.analysis.planning.points import Points, Stand
 from bench.analysis.planning.procedure_text import VERIFICATION_DEG, Times, procedure_text
-from bench.analysis.planning.settings import fitted, settings_of
+from bench.analysis.planning.settings import Setting, fitted, settings_of
 from bench.api.errors import Refused
 from bench.api.quantities import named, quantity
 from bench.base.arrays import Floats
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
 from bench.files.bench.file import BenchFile
 from bench.files.shipped import find_procedure
-from bench.model import Mounting
+from bench.model import ForwardModel, Mounting
 from bench.model.geometry import specific_force_on_platform
 from bench.procedure.check import check as check_against
 from bench.procedure.load import load_procedure
 from bench.readings.table import UNORIENTED, VERIFICATION
 from bench.run.sentences import duration
+from drivers.clock import utc_now
 
 _COMPARED: Final = "paper"
 
 
 @dataclass(frozen=True)
 class PaperPoints:
-    """What the paper's procedure would give: its settings, the covariance (12, 12) of the coefficients."""
+    """What the paper's procedure would give: how many settings it has, u of each goal by name, the largest."""
 
     settings: int
-    covariance: Floats
+    u: dict[str, float]
+
+
+def planning_stand(bench: BenchFile) -> Stand:
+    """Return the bench as a plan for it sees it, with everything that a calibration signs.
+
+    Raises `CalibrationError` for a bench file that states no noise.
+    """
+    model = ForwardModel(bench.installation_models())
+    sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
+    hidden = signed_sources(bench, model, utc_now().date())
+    meters = meters_of([meter.channels for meter in bench.instruments.voltmeters])
+    return Stand(model, bench.simulated_block(), sizes, hidden=hidden, meters=meters)
 
 
 def stated_goals(
@@ -73,7 +88,8 @@ def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
     angles = np.radians(np.array(VERIFICATION_DEG, dtype=np.float64))
     turn = stand.model.installations[VERIFICATION].block_from_platform
     force = specific_force_on_platform(angles, np.zeros((len(angles), 5))) @ turn.T
-    return delta_g_goals(stand.block, force, stand.noise.reading, asked_g)
+    at = [Setting(Mounting(1, VERIFICATION), 1, i, float(a), 1) for i, a in enumerate(angles, start=1)]
+    return delta_g_goals(stand.block, force, stand.noise.reading, asked_g, at)
 
 
 def _size(text: str) -> tuple[str, float]:
@@ -104,12 +120,9 @@ def stated_times(setting: str, remount: str, soak: str, warm_up: str) -> Times:
 
 
 def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[Mounting]:
-    """Return the mountings to choose from: without a word 1 and 2, all where the third mounting angle is stated.
-
-    Where it is taken for zero, a plan with other installations would believe them to fix the block's axes.
-    """
+    """Return the mountings to choose from: without a word all installations of the bench."""
     known = [label for label in bench.installation_models() if label not in {VERIFICATION, *UNORIENTED}]
-    labels = known if roll_stated(bench) else ["1", "2"]
+    labels = known
     if installations is not None:
         labels = list(dict.fromkeys(label.strip() for label in installations.split(",")))
     strange = [label for label in labels if label not in known]
@@ -119,11 +132,6 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
             f"(it has {', '.join(known)}); state it in the bench file"
         )
     return [Mounting(series, label) for series in range(1, visits + 1) for label in labels]
-
-
-def roll_stated(bench: BenchFile) -> bool:
-    """Whether the bench file states the third mounting angle."""
-    return bench.stand.mounting_roll is not None and bench.stand.mounting_roll.limit > 0
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
@@ -139,10 +147,14 @@ def even_angles(bench: BenchFile, count: int) -> Floats:
     return np.sort(np.concatenate([angles[allowed], wrapped[lower & ~allowed]]))
 
 
-def paper_points(stand: Stand) -> PaperPoints:
-    """Return the paper's procedure on this bench, to compare with."""
+def paper_points(stand: Stand, goals: Sequence[Goal]) -> PaperPoints:
+    """Return what the paper's procedure gives on this bench for goals, to compare with."""
     settings = fitted(settings_of(load_procedure(find_procedure(_COMPARED)).expand()))
-    return PaperPoints(len(settings), stand.covariance(settings))
+    promise = stand.promise(settings, goals)
+    u: dict[str, float] = {}
+    for goal in promise.goals:
+        u[goal.name] = max(goal.u(promise.readings), u.get(goal.name, 0.0))
+    return PaperPoints(len(settings), u)
 
 
 def write_procedure(
@@ -164,11 +176,11 @@ def write_procedure(
 
 def _remarks(points: Points, bench: BenchFile, *, asked: bool) -> str:
     worst = points.worst
-    least = f"{worst.name}: u = {worst.u(points.covariance):.3g} {worst.unit}"
+    least = f"{worst.name}: u = {points.u(worst):.3g} {worst.unit}"
     if asked:
         least += f" of {worst.asked:.3g} asked"
     return (
-        f"Made by bench plan-points for the stand errors of {bench.name}.\n"
+        f"Made by bench plan-points for the errors of {bench.name}.\n"
         f"{points.count} settings in {len(points.visits)} mountings, about {duration(points.time_s)}.\n"
         f"Least well reached: {least} (standard uncertainty, generalised least squares).\n"
     )
@@ -177,8 +189,8 @@ def _remarks(points: Points, bench: BenchFile, *, asked: bool) -> str:
 def worst_by_name(points: Points) -> list[Goal]:
     """Return of goals with the same name (directions of an acceleration) the one that is furthest from reached."""
     found: dict[str, Goal] = {}
-    for goal in points.goals:
+    for goal in points.promise.goals:
         known = found.get(goal.name)
-        if known is None or goal.ratio(points.covariance) > known.ratio(points.covariance):
+        if known is None or points.u(goal) / goal.asked > points.u(known) / known.asked:
             found[goal.name] = goal
     return list(found.values())

@@ -20,12 +20,11 @@ if TYPE_CHECKING:
     from bench.analysis.planning.points import Points
     from bench.api.points import PaperPoints
     from bench.api.taken import BenchTaken
-    from bench.files.bench.file import BenchFile
 
 MOST_ANGLES: Final = 72
 
 
-@app.command("plan-points", epilog="Example: bench plan-points --u all=5e-5 --out procedures/short.yaml")
+@app.command("plan-points", epilog="Example: bench plan-points --u all=1.2e-4 --out procedures/short.yaml")
 def plan_points(
     bench: BenchOption = None,
     u: Annotated[
@@ -49,7 +48,7 @@ def plan_points(
     least: Annotated[str, typer.Option(help="What is to be least: time or settings.")] = "time",
     installations: Annotated[
         str | None,
-        typer.Option(help="Installations to choose from, such as 1,2,1T90 (default: 1,2)."),
+        typer.Option(help="Installations to choose from, such as 1,2,1T90 (default: all)."),
     ] = None,
     angles: Annotated[int, typer.Option(help="Angles in a turn to choose from.")] = 24,
     visits: Annotated[int, typer.Option(help="How often an installation may be mounted.", min=1, max=4)] = 1,
@@ -86,17 +85,15 @@ def plan_points(
     if out is not None and not out.absolute().parent.is_dir():
         raise Refused(f"--out {out}: there is no such folder")
 
-    from bench.analysis.planning.points import Points, Sites, Stand, best_within, cheapest
+    from bench.analysis.planning.points import Points, Sites, best_within, cheapest
     from bench.analysis.planning.settings import Cost
     from bench.api import points as api
     from bench.api.taken import find_bench_file
-    from bench.model import ForwardModel
     from bench.readings.table import VERIFICATION
 
     taken = find_bench_file(bench)
     file = taken.file
-    sizes = {name: d.u for name, d in file.stand_distributions().items()}
-    stand = Stand(ForwardModel(file.installation_models()), file.simulated_block(), sizes)
+    stand = api.planning_stand(file)
     verified = verify and VERIFICATION in stand.model.installations
     goals = api.stated_goals(stand, file, tuple(u or ()), delta_g, modulus, up_to)
     times = api.stated_times(cost_setting, cost_remount, cost_soak, warm_up)
@@ -110,12 +107,12 @@ def plan_points(
         limit_s = api.duration_s("--time", time)
         with progress.shown():
             found = best_within(stand, sites, goals, cost, limit_s, most_mountings)
-    planned = Points(found.visits, found.goals, found.covariance, cost)
-    paper = api.paper_points(stand)
+    planned = Points(found.visits, found.promise, cost)
+    paper = api.paper_points(stand, goals)
     if out is not None:
         api.write_procedure(out, planned, times, file, verified=verified, asked=asked)
     printing.bench_file(taken, json)
-    _print(planned, paper, file, out, printing.console(json=json), asked=asked, time=time)
+    _print(planned, paper, taken, out, printing.console(json=json), asked=asked, time=time)
     printing.write_json([_to_json(planned, paper, taken, out, asked=asked)], json)
     return 0 if planned.reached or not asked else 1
 
@@ -123,14 +120,13 @@ def plan_points(
 def _print(
     points: Points,
     paper: PaperPoints,
-    bench: BenchFile,
+    taken: BenchTaken,
     procedure: Path | None,
     out: Console,
     *,
     asked: bool,
     time: str | None,
 ) -> None:
-    from bench.api.points import roll_stated
     from bench.run.sentences import duration
 
     table = printing.table("installation", ">settings", "angles (visits where more than one)")
@@ -140,24 +136,22 @@ def _print(
     out.print(table)
     out.print(_goal_table(points, paper, asked=asked))
     out.print(
-        f"{points.count} settings in {len(points.visits)} mountings on {bench.name}: about "
+        f"{points.count} settings in {len(points.visits)} mountings on {taken.file.name}: about "
         f"{duration(points.time_s)}, warm-up and verification points included"
     )
-    out.print(
-        "u is of the stand's errors and the readings' own; 'bench budget' has the voltmeters' gain and others"
-    )
+    out.print("u is the combined one, which 'bench calibrate' will sign; 'bench budget' has its parts")
+    if taken.learned_path is not None:
+        out.print("what was learned of this bench is not in it: a plan goes by the limits of the bench file")
     if not points.fit_is_tested:
         out.print(
             "too few repeats for a calibration's lack-of-fit test: an error that no file states may go unseen"
         )
-    if not roll_stated(bench):
-        out.print("mounting_roll (alpha5) is not stated in the bench file and taken for zero")
     if procedure is not None:
         printing.written("procedure", procedure, out)
     if asked and not points.reached:
         worst = points.worst
         out.print(
-            f"NOT REACHED in {time}: {worst.name} is {worst.ratio(points.covariance):.3g} times what is asked"
+            f"NOT REACHED in {time}: {worst.name} is {points.u(worst) / worst.asked:.3g} times what is asked"
         )
 
 
@@ -167,7 +161,7 @@ def _goal_table(points: Points, paper: PaperPoints, *, asked: bool) -> Table:
     of_paper = f">u of the paper's {paper.settings} settings"
     table = printing.table("goal", *([">asked u"] if asked else []), ">planned u", of_paper, ">")
     for goal in worst_by_name(points):
-        sizes = [goal.u(points.covariance), goal.u(paper.covariance)]
+        sizes = [points.u(goal), paper.u[goal.name]]
         row = ([goal.asked] if asked else []) + sizes
         table.add_row(goal.name, *(figures(size * 1e6) for size in row), f"µ{goal.unit}")
     return table
@@ -190,8 +184,8 @@ def _to_json(
                 "name": goal.name,
                 "unit": goal.unit,
                 "asked_u": goal.asked if asked else None,
-                "u": goal.u(points.covariance),
-                "u_paper": goal.u(paper.covariance),
+                "u": points.u(goal),
+                "u_paper": paper.u[goal.name],
             }
             for goal in worst_by_name(points)
         ],
@@ -207,6 +201,6 @@ def _to_json(
             for s in points.settings()
         ],
         "lack_of_fit_tested": points.fit_is_tested,
-        "covariance": points.covariance.tolist(),
+        "covariance": points.promise.combined.tolist(),
         "procedure": None if procedure is None else str(procedure),
     }

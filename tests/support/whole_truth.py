@@ -22,7 +22,21 @@ LINEARITY_V = 2e-6 * 2.18 + 1e-6 * 10.0
 BIAS_PER_K, SCALE_PER_K, BAND_K = 30e-6, 180e-6, 0.5
 K2_G, K3_G = 30e-6, 20e-6
 
-CASES = ("stand", "roll", "meters", "noise", "temperature", "walk", "setting", "all")
+CASES = (
+    "stand",
+    "roll",
+    "meters",
+    "noise",
+    "temperature",
+    "walk",
+    "setting",
+    "all",
+    "wandering",
+    "all-wandering",
+)
+"""The temperature of "temperature" and "all" is off by one draw throughout a run, that of the other two wanders."""
+WANDERING = ("wandering", "all-wandering")
+EVERYTHING = ("all", "all-wandering")
 
 
 @dataclass
@@ -39,12 +53,12 @@ class Bench:
     def drawn(cls, rng: np.random.Generator, case: str) -> "Bench":
         """Draw what the case has of it; meters within their limits, coefficients of the block within theirs."""
         bench = cls()
-        if case in {"meters", "all"}:
+        if case in {"meters", *EVERYTHING}:
             bench.gain, bench.offset = rng.uniform(-GAIN, GAIN, 3), rng.uniform(-OFFSET_V, OFFSET_V, 3)
-        if case in {"temperature", "all"}:
+        if case in {"temperature", *WANDERING, *EVERYTHING}:
             bench.bias_per_k = rng.uniform(-BIAS_PER_K, BIAS_PER_K, 3)
             bench.scale_per_k = rng.uniform(-SCALE_PER_K, SCALE_PER_K, 3)
-        if case == "all":
+        if case in EVERYTHING:
             bench.curved = rng.normal(0.0, [[K2_G], [K3_G]], (2, 3))
         return bench
 
@@ -67,7 +81,7 @@ def simulate_whole(
     n, v = len(phi), len(VERIFICATION_DEG)
     sizes = [STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")]
     drawn = rng.normal(0.0, sizes, (2, 3))
-    roll = rng.normal(0.0, 30 * ARCSEC, 2) * (case in {"roll", "all"})
+    roll = rng.normal(0.0, 30 * ARCSEC, 2) * (case in {"roll", *EVERYTHING})
     which = np.array([int(i) - 1 for i in installation])
     setting = rng.normal(0.0, SETTING_U_RAD, n)
     oriented = specific_force(
@@ -84,12 +98,14 @@ def simulate_whole(
     truth = np.concatenate([own_K.ravel(), own_U0])
     signal = signal + diagonal * (bench.curved[0] * force**2 + bench.curved[1] * force**3)
     time_h = np.linspace(0.0, HOURS, n + v)
-    if case in {"temperature", "all"}:
-        kelvin = wandering(rng, time_h, BAND_K / np.sqrt(3))
+    if case in {"temperature", *WANDERING, *EVERYTHING}:
+        kelvin = np.full(n + v, rng.uniform(-BAND_K, BAND_K))
+        if case in WANDERING:
+            kelvin = wandering(rng, time_h, BAND_K / np.sqrt(3))
         signal = signal + kelvin[:, None] * (
             diagonal * bench.bias_per_k + (force @ own_K.T) * bench.scale_per_k
         )
-    if case in {"walk", "all"}:
+    if case in {"walk", *EVERYTHING}:
         size = 200e-6 if case == "walk" else 50e-6
         walk = np.cumsum(rng.normal(0.0, size / np.sqrt(n + v), (n + v, 3)), axis=0)
         signal = signal + walk
@@ -100,7 +116,7 @@ def simulate_whole(
     signal = signal + rng.normal(0.0, 1.0, signal.shape) * fresh
     if case == "setting":
         signal[:n] += _shared(rng, installation, point, noise_v * np.sqrt(0.5))
-    if case == "all":
+    if case in EVERYTHING:
         signal[:n] += _by_voltage(rng, installation, phi)
     signal = signal * (1.0 + bench.gain) + bench.offset
     readings = make_readings(

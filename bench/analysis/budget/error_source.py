@@ -13,9 +13,9 @@ from bench.analysis.calibration.design import EffectUnknown
 from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.model import Distribution
 
-Common = Literal["reading", "setting", "angle", "orientation", "mounting", "run"]
+Common = Literal["reading", "setting", "angle", "orientation", "mounting", "time", "run"]
 """What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
-of it, all readings in one orientation, all of one mounting, everything."""
+of it, all readings in one orientation, all of one mounting, readings soon after each other, everything."""
 
 Group = Literal["stand", "scale", "block"]
 """Which errors a source belongs to: the stand's and the readings' own, which `bench calibrate` states; those
@@ -40,7 +40,8 @@ class ErrorSource:
     has `effect`, and in `written_in` the unit in which files state it with its size in SI. `channels` are
     those that it is of: K2 and K3 are not of one for which the model has such an effect, a voltmeter's are its own.
     Draws that hang together have a `root`: what makes theirs (q) of independent ones (k), q rows of k.
-    `angles` are the kinds of the stand's angles whose means of all mountings it is.
+    `angles` are the kinds of the stand's angles whose means of all mountings it is. What readings soon after each
+    other share has a correlation time, `correlation_s`.
     """
 
     name: str
@@ -57,6 +58,7 @@ class ErrorSource:
     channels: tuple[str, ...] = CHANNELS
     root: tuple[tuple[float, ...], ...] | None = None
     angles: tuple[str, ...] = ()
+    correlation_s: float = math.inf
     written_in: tuple[str, float] = ("", 1.0)
 
     @property

@@ -54,20 +54,23 @@ class Foundation:
 
         `across` (n, 3) is how the signals change with an angle about the shaft.
         """
-        time_s = np.nan_to_num(conditions.elapsed_s)
-        begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
-        gone_s = (time_s - begun[conditions.mount])[:, None]
-        known = [installations.get(mount.installation) for mount in conditions.mounts]
-        # tilted by α1 the specific force has so much along y of the platform
-        on_block = np.stack([np.zeros(3) if i is None else i.block_from_platform[:, 1] for i in known])
-        along = (on_block @ block.K.T)[conditions.mount]
-        return np.stack(
-            [
-                np.einsum("mni,ni->m", functionals, along * gone_s) * self.along_rad_s,
-                np.einsum("mni,ni->m", functionals, across * gone_s) * self.across_rad_s,
-            ],
-            axis=1,
+        tilts = np.stack(tilt_patterns(conditions, block, across, installations))
+        return np.asarray(
+            np.einsum("mni,qni->mq", functionals, tilts) * [self.along_rad_s, self.across_rad_s]
         )
+
+
+def tilt_patterns(
+    conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation]
+) -> tuple[Floats, Floats]:
+    """Return what a platform that tilts along the shaft and across it, 1 rad/s, does to the signals, V (n, 3)."""
+    time_s = np.nan_to_num(conditions.elapsed_s)
+    begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
+    gone_s = (time_s - begun[conditions.mount])[:, None]
+    known = [installations.get(mount.installation) for mount in conditions.mounts]
+    # tilted by α1 the specific force has so much along y of the platform
+    on_block = np.stack([np.zeros(3) if i is None else i.block_from_platform[:, 1] for i in known])
+    return (on_block @ block.K.T)[conditions.mount] * gone_s, across * gone_s
 
 
 def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> Foundation | None:

@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.budget.error_source import ErrorSource
+from bench.analysis.budget.foundation import NAME as FOUNDATION
+from bench.analysis.budget.foundation import tilt_patterns
 from bench.analysis.budget.influence import Influence
 from bench.analysis.budget.seen import Seen
 from bench.analysis.budget.setup import Setup
@@ -35,6 +37,9 @@ def influences(source: ErrorSource, setup: Seen) -> tuple[Influence, ...]:
     elif isinstance(setup, Setup) and (source.name in STAND_ANGLES or source.angles):
         mount = setup.conditions.mount[:, None]
         patterns = [(setup.stand_slope(name), mount) for name in source.angles or (source.name,)]
+    elif isinstance(setup, Setup) and source.name == FOUNDATION:
+        tilts = tilt_patterns(setup.conditions, setup.block, setup.setting_slope, setup.model.installations)
+        patterns = [(tilt, _EVERYTHING) for tilt in tilts]
     else:
         patterns = _PATTERNS[source.kind](source, setup)
     return tuple(Influence.of(pattern, group) for pattern, group in patterns)
@@ -55,25 +60,22 @@ def _same_angle(setup: Seen) -> Ints:
 
 
 def _temperature(source: ErrorSource, seen: Seen) -> _Patterns:
-    """A course that nobody knows, within the limits, and beside it the one that was recorded."""
-    courses = list(_wandering(seen.conditions.elapsed_s).T)
-    known = seen.conditions.warmth_k - seen.conditions.warmth_k.mean()
-    if source.u > 0 and np.any(known):
-        courses.append(known / source.u)
-    return [pattern for course in courses for pattern in _warmed(source, seen, course)]
-
-
-def _thermometer(source: ErrorSource, seen: Seen) -> _Patterns:
-    return _warmed(source, seen, np.ones(len(seen.signal)))
+    return _off_and_known(source, seen, seen.conditions.warmth_k)
 
 
 def _supply(source: ErrorSource, seen: Seen) -> _Patterns:
-    """A course that nobody knows, within the limits; of one that was recorded, it and what it is off throughout."""
     rail, above_v = int((source.factors or {})["rail"]) - 1, seen.conditions.above_nominal_v
-    if source.u > 0 and rail < above_v.shape[1]:
-        courses = [np.ones(len(seen.signal)), (above_v[:, rail] - above_v[:, rail].mean()) / source.u]
-    else:
-        courses = list(_wandering(seen.conditions.elapsed_s).T)
+    return _off_and_known(
+        source, seen, above_v[:, rail] if rail < above_v.shape[1] else np.zeros(len(above_v))
+    )
+
+
+def _off_and_known(source: ErrorSource, seen: Seen, recorded: Floats) -> _Patterns:
+    """Return what is off within the limits and nobody knows, and the course that was `recorded` (n,)."""
+    courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
+    known = recorded - recorded.mean()
+    if source.u > 0 and np.any(known):
+        courses.append(known / source.u)
     return [pattern for course in courses for pattern in _warmed(source, seen, course)]
 
 
@@ -97,16 +99,19 @@ def _warmed(source: ErrorSource, seen: Seen, course: Floats) -> _Patterns:
     return [(factors[of] * acts * course[:, None], group) for of, acts in (("bias", bias), ("scale", sensed))]
 
 
-WANDERS_S: Final = 3600.0
-"""In so long a temperature that nobody knows becomes another one, within its limits."""
 HARDLY_ANY: Final = 1e-3
 """Shapes of a course that are this part of it together with others are left out."""
 
 
-def _wandering(time_s: Floats) -> Floats:
-    """Return the shapes (n, q) of a stationary process of unit variance that forgets itself in `WANDERS_S`."""
+def _unknown(time_s: Floats, correlation_s: float) -> Floats:
+    """Return the shapes (n, q) of a stationary process of unit variance; one shape where it is an offset.
+
+    Limits alone say nothing of a course within them, and passes average no offset (GUM, 4.3.7 and F.2.4.5).
+    """
+    if math.isinf(correlation_s):
+        return np.ones((len(time_s), 1))
     apart = np.abs(time_s[:, None] - time_s)
-    size, shapes = np.linalg.eigh(np.exp(-apart / WANDERS_S))
+    size, shapes = np.linalg.eigh(np.exp(-apart / correlation_s))
     kept = size > HARDLY_ANY * size.sum()
     return np.asarray(shapes[:, kept] * np.sqrt(size[kept]))
 
@@ -132,7 +137,7 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, Seen], _Patterns]]] = {
     "voltmeter_linearity": _linearity,
     "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
     "temperature": _temperature,
-    "thermometer": _thermometer,
+    "thermometer": lambda own, s: _warmed(own, s, np.ones(len(s.signal))),
     "supply_voltage": _supply,
     "turn_on": _turn_on,
     "K2": _power(2),

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.analysis.budget.alike import KnownMeters
 from bench.analysis.budget.error_source import Common, ErrorSource
+from bench.analysis.budget.foundation import foundation_of
 from bench.analysis.budget.learned import learned_sources
 from bench.analysis.budget.meters import Size, linearity_of, size_of
 from bench.analysis.budget.setup import Setup
@@ -19,6 +20,7 @@ from bench.analysis.budget.thermometer import thermometer_size
 from bench.analysis.calibration.design import SYMBOLS, WEAK
 from bench.analysis.calibration.known import KnownStand
 from bench.base.arrays import CHANNELS
+from bench.base.words import exact_duration
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import STAND_ERRORS, BenchFile
 from bench.files.bench.stand import ErrorSize, Location, MeasuredGravity
@@ -60,7 +62,27 @@ def bench_sources(
     own = stand_sources(bench)
     if known is not None:
         own = learned_sources(own, known, setup.conditions.mounts)
-    return (*own, *hidden_sources(bench, setup.model, day), *effect_sources(setup))
+    return (
+        *own, *_foundation_source(bench), *hidden_sources(bench, setup.model, day), *effect_sources(setup)
+    )  # fmt: skip
+
+
+def signed_sources(
+    bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
+) -> tuple[ErrorSource, ...]:
+    """Return what is in the combined u of a calibration beside its readings and the stand's angles.
+
+    Local gravity is not: coefficients are stated per local g.
+    """
+    hidden = (source for source in hidden_sources(bench, model, day) if source.name != "gravity")
+    return (*_foundation_source(bench), *hidden)
+
+
+def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """Of a platform that a bench file says to tilt; what levellings show, a calibration takes in its place."""
+    stated = foundation_of(None, bench, levelled=False)
+    if stated is not None:
+        yield stated.source()
 
 
 def hidden_sources(
@@ -216,6 +238,9 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
         for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True)
     ]
     source = _stated("temperature", "T", "K", "run", section.temperature, usual, origin)
+    if section.temperature is not None and (time_s := section.temperature.correlation_time) is not None:
+        origin = f"{source.origin}, correlation time {exact_duration(time_s)}"
+        source = replace(source, common="time", correlation_s=time_s, origin=origin)
     return replace(
         source,
         origin=f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)",

@@ -15,6 +15,7 @@ import numpy as np
 from bench.analysis.budget.acceleration import directions
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import modulus_slopes
+from bench.analysis.planning.settings import Setting
 from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS, Block
 
@@ -29,7 +30,8 @@ LEAST_WHOLE_G: Final = 1e-3
 class Goal:
     """Functionals (k, 12) of the coefficients, whose variances add up, and the u that is asked for.
 
-    `floor` is what no calibration takes away, as a variance: the noise of the reading that is judged.
+    `floor` is what no calibration takes away, as a variance: the noise of the reading that is judged, at the
+    verification point `judged`, and in a plan what no reading shows.
     """
 
     name: str
@@ -37,15 +39,29 @@ class Goal:
     asked: float
     unit: str
     floor: float = 0.0
+    judged: Setting | None = None
+
+    def variance(self, covariance: Floats) -> float:
+        """Return the variance that a covariance (12, 12) of the coefficients gives, without the floor."""
+        return float(np.einsum("ki,ij,kj->", self.functionals, covariance, self.functionals))
 
     def u(self, covariance: Floats) -> float:
         """Return the standard uncertainty that a covariance (12, 12) of the coefficients gives."""
-        variance = float(np.einsum("ki,ij,kj->", self.functionals, covariance, self.functionals))
-        return float(np.sqrt(variance + self.floor))
+        return float(np.sqrt(self.variance(covariance) + self.floor))
 
     def ratio(self, covariance: Floats) -> float:
         """Return the uncertainty in units of what is asked: at most 1 where the goal is reached."""
         return self.u(covariance) / self.asked
+
+    def part(self, covariance: Floats) -> float:
+        """Return the variance that a covariance gives, in units of what the floor leaves of the one asked for."""
+        left = self.asked**2 - self.floor
+        return self.variance(covariance) / left if left > 0.0 else np.inf
+
+    def tightened(self, wider2: float) -> Goal:
+        """Return the goal that allows so many times less variance above the floor."""
+        left = max(self.asked**2 - self.floor, 0.0)
+        return replace(self, asked=float(np.sqrt(self.floor + left / wider2)))
 
 
 def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
@@ -72,8 +88,10 @@ def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
     ]
 
 
-def delta_g_goals(block: Block, force: Floats, reading_v: float, asked_g: float) -> list[Goal]:
-    """Return a goal for Delta g at each verification point, specific forces (n, 3) in g of modulus 1.
+def delta_g_goals(
+    block: Block, force: Floats, reading_v: float, asked_g: float, at: Sequence[Setting]
+) -> list[Goal]:
+    """Return a goal for Delta g `at` each verification point, specific forces (n, 3) in g of modulus 1.
 
     The noise `reading_v` of the reading at the point counts. Raises `CalibrationError` where it alone is more
     than what is asked.
@@ -88,7 +106,7 @@ def delta_g_goals(block: Block, force: Floats, reading_v: float, asked_g: float)
             "(more samples a reading) or ask for less"
         )
     return [
-        Goal(f"Δg at verification point {i + 1}", functionals[[i]], asked_g, "g", float(floors[i]))
+        Goal(f"Δg at verification point {i + 1}", functionals[[i]], asked_g, "g", float(floors[i]), at[i])
         for i in range(len(force))
     ]
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
-from bench.analysis.budget.coefficients import make_budget
+from bench.analysis.budget.acceleration import delta_g
+from bench.analysis.budget.coefficients import Budget, make_budget
+from bench.analysis.budget.error_source import ErrorSource
+from bench.analysis.budget.learned import learned_sources
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import stand_source
+from bench.analysis.budget.sources import effect_sources, stand_source
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.estimators import GLS
 from bench.analysis.calibration.known import KnownStand
@@ -32,6 +35,9 @@ from bench.base.arrays import HOUR, Floats
 from bench.base.progress import tracked
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mounting
 
+WITHOUT_NOISE: Final = 1e-4
+"""The noise of endlessly many readings, as a part of that of one."""
+_PARTS_TOLD: Final = 3
 _ROUNDS: Final = 4
 """Searches until the goals are reached with the noise that repeats and residuals will really tell."""
 
@@ -40,13 +46,16 @@ _ROUNDS: Final = 4
 class Stand:
     """The bench as planning sees it: model, block, standard uncertainties of the stand errors, rad and V.
 
-    `known` is what was learned of stand and noise in their place.
+    `known` is what was learned of stand and noise in their place; `hidden` are the errors that no reading shows and
+    that a calibration signs; `meters` numbers the voltmeter of each channel.
     """
 
     model: ForwardModel
     block: Block
     sizes: Mapping[str, float]
     known: KnownStand | None = None
+    hidden: tuple[ErrorSource, ...] = ()
+    meters: tuple[int, int, int] = (0, 1, 2)
 
     def __post_init__(self) -> None:
         if self.known is not None and self.known.noise is not None:
@@ -71,15 +80,41 @@ class Stand:
     def covariance(self, settings: Sequence[Setting]) -> Floats:
         """Return the covariance (12, 12) that `bench calibrate` will state from readings at these settings.
 
+        Raises `CalibrationError` where they do not determine the coefficients.
+        """
+        return self.promise(settings, ()).combined
+
+    def promise(self, settings: Sequence[Setting], goals: Sequence[Goal]) -> Promise:
+        """Return what `bench calibrate` will state from readings at these settings, and what that is for goals.
+
         By generalised least squares, the noise widened by how well the readings themselves will tell it. Raises
         `CalibrationError` where they do not determine the coefficients.
         """
-        setup = Setup(self.model, conditions_of(settings), self.block)
-        wider = widening(self._freedom(setup.conditions))
-        fresh = {name: wider * u for name, u in self.sizes.items() if name not in STAND_ANGLES}
-        sizes = {**self.sizes, **fresh}
-        sources = [stand_source(name, Distribution(u)) for name, u in sizes.items() if u > 0]
-        return make_budget(setup, sources, GLS).combined.covariance
+        wider = widening(self._freedom(conditions_of(settings)))
+        budget = self.budget([*settings, *checks_of(goals)], wider)
+        combined = budget.combined.covariance
+        of_readings = combined - sum(
+            (budget.contribution(source.name).covariance for source in self.hidden), np.zeros((FIXED, FIXED))
+        )
+        floored = [
+            replace(goal, floor=sum(parts.values()) - goal.variance(of_readings))
+            for goal, parts in zip(goals, parts_of_goals(goals, budget), strict=True)
+        ]
+        return Promise(tuple(floored), of_readings, combined)
+
+    def budget(self, settings: Sequence[Setting], noise: float = 1.0) -> Budget:
+        """Return the budget of readings at these settings whose noise is `noise` times the stand's."""
+        setup = Setup(self.model, conditions_of(settings), self.block, self.meters)
+        sizes = {n: u * (1.0 if n in STAND_ANGLES else noise) for n, u in self.sizes.items() if u > 0}
+        sources = [stand_source(name, Distribution(u)) for name, u in sizes.items()]
+        beside = [*effect_sources(setup), *self.hidden]
+        known = self.known
+        if known is None:
+            return make_budget(setup, [*sources, *beside], GLS, stated=sizes)
+        if known.noise is not None:
+            known = replace(known, noise=known.noise.times(noise))
+        learned = learned_sources(sources, known, setup.conditions.mounts)
+        return make_budget(setup, [*learned, *beside], GLS, stated=sizes, known=known)
 
     def _freedom(self, conditions: Conditions) -> int:
         """Degrees of freedom with which the noise will be told: by repeats where there are enough of them."""
@@ -87,6 +122,34 @@ class Stand:
         if again >= LEAST_REPEATS:
             return 3 * again
         return 3 * len(conditions) - self.unknowns(len(conditions.mounts))
+
+
+def checks_of(goals: Sequence[Goal]) -> list[Setting]:
+    """Return the verification points whose readings goals judge."""
+    return [goal.judged for goal in goals if goal.judged is not None]
+
+
+def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, float]]:
+    """Return the variance of each goal by source; the budget has the verification points of `checks_of`."""
+    points = iter(delta_g(budget, np.inf) if checks_of(goals) else ())
+    return [
+        {c.source.name: goal.variance(c.covariance) for c in budget.contributions}
+        if goal.judged is None
+        else {name: u**2 for name, u in next(points).by_source.items()}
+        for goal in goals
+    ]
+
+
+@dataclass(frozen=True)
+class Promise:
+    """Covariances (12, 12) of the coefficients, of the readings alone and combined.
+
+    What no reading shows is in the floors of `goals`, so that their u by the former is the combined one.
+    """
+
+    goals: tuple[Goal, ...]
+    readings: Floats
+    combined: Floats
 
 
 def repeats(conditions: Conditions) -> int:
@@ -114,9 +177,16 @@ class Sites:
         self.mounts = tuple(mounts)
         self._kind = _kinds(stand.model, mounts, angle_rad)
         self.angle_rad = angle_rad
-        settings = [Setting(m, 1, i, angle, 1) for m in mounts for i, angle in enumerate(angle_rad, start=1)]
-        self._rows, problem = whitened(stand, conditions_of(settings))
+        self._rows, problem = whitened(stand, conditions_of(self.settings(range(len(mounts)))))
         self._mount_of_column = np.array([s.mount for s in problem.stand], dtype=np.int64)
+
+    def settings(self, chosen: Iterable[int]) -> list[Setting]:
+        """Return one setting at each angle in some of the mountings, by their numbers."""
+        return [
+            Setting(self.mounts[m], 1, point, angle, 1)
+            for m in chosen
+            for point, angle in enumerate(self.angle_rad, start=1)
+        ]
 
     def candidates(self, chosen: Sequence[int]) -> SettingPool:
         """Return the candidates in some of the mountings, by their numbers, angle by angle."""
@@ -155,11 +225,10 @@ def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -
 
 @dataclass(frozen=True)
 class Points:
-    """Chosen test points: how often each angle is visited in each mounting, with the goals that they serve."""
+    """Chosen test points: how often each angle is visited in each mounting, and what a calibration will sign."""
 
     visits: Mapping[Mounting, Mapping[float, int]]
-    goals: tuple[Goal, ...]
-    covariance: Floats
+    promise: Promise
     cost: Cost
 
     @property
@@ -175,12 +244,16 @@ class Points:
     @property
     def worst(self) -> Goal:
         """The goal that is furthest from reached."""
-        return worst(self.goals, self.covariance)
+        return worst(self.promise.goals, self.promise.readings)
+
+    def u(self, goal: Goal) -> float:
+        """Return the standard uncertainty of one of the promise's goals, as a calibration will sign it."""
+        return goal.u(self.promise.readings)
 
     @property
     def reached(self) -> bool:
         """Whether every goal is reached."""
-        return self.worst.ratio(self.covariance) <= 1 + 1e-9
+        return self.worst.ratio(self.promise.readings) <= 1 + 1e-9
 
     @property
     def fit_is_tested(self) -> bool:
@@ -233,7 +306,8 @@ def cheapest(
 
     Raises `CalibrationError` where no choice of mountings reaches them, with the reason.
     """
-    tightened = list(goals)
+    floored = list(stand.promise(sites.settings(range(len(sites.mounts))), goals).goals)
+    tightened, wider2 = floored, 1.0
     for _ in range(_ROUNDS):
         found = _cheapest(sites, tightened, cost, most_settings, most_mounts)
         if found is None:
@@ -241,9 +315,9 @@ def cheapest(
         points = _points(stand, sites, *found, goals, cost)
         if points.reached:
             return points
-        by = points.worst.ratio(points.covariance)
-        tightened = [replace(goal, asked=goal.asked / by) for goal in tightened]
-    raise CalibrationError(_unreachable(sites, goals, most_settings, most_mounts))
+        wider2 *= max(goal.part(points.promise.readings) for goal in points.promise.goals)
+        tightened = [goal.tightened(wider2) for goal in points.promise.goals]
+    raise CalibrationError(_unreachable(stand, sites, floored, most_settings, most_mounts))
 
 
 def _cheapest(
@@ -271,16 +345,17 @@ def best_within(
     """
     best: tuple[float, _Found] | None = None
     least_s = math.inf
+    floored = stand.promise(sites.settings(range(len(sites.mounts))), goals).goals
     for chosen in tracked(list(sites.choices(most_mounts)), "choices of mountings"):
         candidates = sites.candidates(chosen)
-        whole = ExchangeDesign(candidates, goals)
+        whole = ExchangeDesign(candidates, floored)
         if not whole.determines:
             continue
         least_s = min(least_s, cost.total_s(least_settings(candidates), len(chosen)))
         count = cost.settings_within(time_s, len(chosen))
         if count < least_settings(candidates) or (best is not None and whole.limit() >= best[0]):
             continue
-        design = best_of(candidates, goals, len(chosen), count)
+        design = best_of(candidates, floored, len(chosen), count)
         if best is None or design.largest < best[0]:
             best = design.largest, (chosen, design)
     if best is None:
@@ -297,7 +372,9 @@ def _too_short(time_s: float, least_s: float) -> str:
     )
 
 
-def _unreachable(sites: Sites, goals: Sequence[Goal], most_settings: int, most_mounts: int) -> str:
+def _unreachable(
+    stand: Stand, sites: Sites, goals: Sequence[Goal], most_settings: int, most_mounts: int
+) -> str:
     designs = [
         (ExchangeDesign(sites.candidates(chosen), goals), chosen) for chosen in sites.choices(most_mounts)
     ]
@@ -311,10 +388,15 @@ def _unreachable(sites: Sites, goals: Sequence[Goal], most_settings: int, most_m
             f"not reached with {most_settings} settings, though installations {names} could with more; "
             "allow more with --most-settings, or more samples a reading (a smaller voltmeter_error)"
         )
+    budget = stand.budget([*sites.settings(chosen), *checks_of(goals)], WITHOUT_NOISE)
+    left = zip(goals, parts_of_goals(goals, budget), strict=True)
+    goal, parts = max(left, key=lambda one: sum(one[1].values()) / one[0].asked ** 2)
+    largest = sorted(parts.items(), key=lambda part: -part[1])[:_PARTS_TOLD]
+    told = ", ".join(f"{name} {1e6 * math.sqrt(variance):.3g} µ{goal.unit}" for name, variance in largest)
     return (
-        f"cannot be reached by any number of settings: in the best choice of mountings ({names}) the stand's "
-        f"errors alone leave {ratio:.3g} times what is asked; smaller stand errors, more installations or more "
-        "--visits would help"
+        f"cannot be reached by any number of settings: in the best choice of mountings ({names}) what no reading "
+        f"lowers is {ratio:.3g} times what is asked; most of it for {goal.name}: {told}; better these, or allow "
+        "more installations or more --visits"
     )
 
 
@@ -334,4 +416,4 @@ def _points(
         if row.any()
     }
     settings = [s for mount, angles in visits.items() for s in _in_order(mount, angles)]
-    return Points(visits, tuple(goals), stand.covariance(settings), cost)
+    return Points(visits, stand.promise(settings, goals), cost)

@@ -122,8 +122,9 @@ class VoltageError(ErrorSize):
 
 
 class StandSection(FileModel):
-    """The stand errors, alpha1…alpha4 and Delta U_M of the paper; mounting roll and offset are zero unless stated.
+    """The stand errors, alpha1…alpha4 and Delta U_M of the paper.
 
+    A mounting roll that is not stated counts as large as the mounting error, a mounting offset as zero.
     `foundation` is by how much the levelled platform tilts in a day. A levelling in a run takes the place of
     `axis_tilt` and `zero_offset` in its mounting.
     """

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Final
 
+from pydantic import field_validator
+
 from bench.base.forms import FileModel
-from bench.base.units import GRAVITY, RATIO, QuantityKind, not_negative
+from bench.base.units import GRAVITY, RATIO, QuantityKind, SpanS, not_negative
 from bench.devices.chambers import SizeK
 from bench.files.bench.stand import ErrorSize, VoltageError
 
@@ -31,9 +33,23 @@ class GravityError(ErrorSize):
 
 
 class TemperatureError(ErrorSize):
-    """How far the temperature of the block is from that of the calibration, K."""
+    """How far the temperature of the block is from that of the calibration, K: throughout a run, as an offset.
+
+    Where the block's temperature wanders within the limit, `correlation_time` says in what time it forgets where it
+    was; only then do readings average it.
+    """
 
     limit: SizeK
+    correlation_time: SpanS | None = None
+
+    @field_validator("correlation_time")
+    @classmethod
+    def _lasts(cls, time_s: float | None) -> float | None:
+        if time_s == 0.0:
+            raise ValueError(
+                "expected more than nothing; leave it out where the offset stays throughout a run"
+            )
+        return time_s
 
 
 class BiasPerKelvin(ErrorSize):
@@ -82,7 +98,7 @@ class UncertaintySection(FileModel):
     """What is known of the errors that the readings do not show; what is left out has a default.
 
     The defaults of the voltmeters are their makers' limits, that of the temperature the chamber's band, that of the
-    rails' voltages their tolerance.
+    rails' voltages their tolerance; temperature and voltages are off by as much throughout a run.
     """
 
     voltmeter_gain: RatioError | None = None

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.analysis.budget import patterns
 from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import bench_sources, stand_source
@@ -158,7 +157,7 @@ def test_gravity_scales_k_and_no_bias():
     np.testing.assert_allclose(found.u, 51e-6 * np.abs(TRUTH) * K_PART, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["voltmeter_linearity", "voltmeter_gain"])
+@pytest.mark.parametrize("name", ["voltmeter_linearity", "voltmeter_gain", "temperature"])
 def test_what_passes_do_not_average(name):
     source = by_name(SHIPPED)[name]
     u = [make_budget(paper_setup(passes=p), [source], "closed-form").combined.u for p in (1, 4)]
@@ -179,9 +178,8 @@ def test_linearity_is_the_same_where_the_voltage_is():
     assert found[COEFFICIENTS.index("Kxz")] == pytest.approx(1e-5 / np.sqrt(2))
 
 
-def test_a_temperature_that_stays_in_closed_form(monkeypatch):
-    """Where it does not change in the run, K goes with the scale and U0 with the bias: k uT |K|."""
-    monkeypatch.setattr(patterns, "WANDERS_S", 1e15)
+def test_a_temperature_that_stays_in_closed_form():
+    """A limit alone is an offset throughout the run: K goes with the scale and U0 with the bias, k uT |K|."""
     source = by_name(SHIPPED)["temperature"]
     found = make_budget(paper_setup(), [source], "closed-form").combined.u
     scale, bias = source.factors["scale"] * source.u, source.factors["bias"] * source.u
@@ -189,9 +187,12 @@ def test_a_temperature_that_stays_in_closed_form(monkeypatch):
     assert found[COEFFICIENTS.index("U0x")] == pytest.approx(bias * abs(K[0, 0]), rel=1e-3)
 
 
-def test_a_temperature_that_wanders_in_full():
+def test_a_temperature_that_wanders_in_full(tmp_path):
     """Its course has the covariance u^2 exp(-|t1 - t2|/1 h): the same sum without its shapes, written out."""
-    source = by_name(SHIPPED)["temperature"]
+    wanders = {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "1 h"}
+    source = by_name(edited(tmp_path, uncertainty={"temperature": wanders}))["temperature"]
+    assert source.common == "time"
+    assert "correlation time 1 h" in source.origin
     setup = paper_setup()
     budget = make_budget(setup, [source], "gls", stated={"voltmeter_error": 1e-4})
     time_s = setup.conditions.elapsed_s
@@ -249,9 +250,14 @@ def test_what_feeds_the_block_is_two_lines(tmp_path):
     assert not found["turn_on"].prior
 
 
-def test_a_supply_that_stays_in_closed_form(monkeypatch, tmp_path):
+def test_a_correlation_time_is_more_than_nothing(tmp_path):
+    never = {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "0 s"}
+    with pytest.raises(FileMistakes, match=r"correlation_time: expected more than nothing"):
+        edited(tmp_path, uncertainty={"temperature": never})
+
+
+def test_a_supply_that_stays_in_closed_form(tmp_path):
     """K goes with the scale and U0 with the bias, and a turn-on with the bias alone."""
-    monkeypatch.setattr(patterns, "WANDERS_S", 1e15)
     found = by_name(fed(tmp_path))
     source = found["supply_voltage[p15]"]
     u = make_budget(paper_setup(), [source], "closed-form").combined.u

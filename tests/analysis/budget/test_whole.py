@@ -1,5 +1,6 @@
 """The combined uncertainty: against closed forms, against the budget of the plan, against drawn truth."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from bench.analysis.budget.whole import delta_g_covariance, delta_g_elsewhere, s
 from bench.analysis.calibration import calibrate
 from bench.analysis.calibration.result import Noise
 from bench.files.bench.file import load_bench
+from bench.files.bench.uncertainty import RatioError, TemperatureError, VoltageError
 from bench.model import Block, ForwardModel
 from bench.model.block import COEFFICIENTS
+from bench.readings.table import VERIFICATION
 from tests.support.paper_bench import ARCSEC
 from tests.support.whole_truth import CASES, simulate_whole
 
@@ -106,20 +109,35 @@ def test_what_k2_and_k3_did_to_the_coefficients_they_do_at_the_points(run):
     )
     whole = delta_g_covariance(found, run, BENCH, MODEL)
     assert np.all(np.diag(known) < np.diag(apart))
-    # what is left beside the whole is the temperature, whose course one table shares
-    np.testing.assert_allclose(np.sqrt(np.diag(known)), np.sqrt(np.diag(whole)), rtol=0.2)
+    # what is left beside the whole is the temperature, an offset that one table shares and another day has anew:
+    # of calibration and check, n^2 of a bias and n^4 of a scale factor for each channel
+    n = found.block.specific_force(run.signal[run.installation == VERIFICATION])
+    temperature = (0.5**2 / 3) * (n**2 * (30e-6**2 / 3) + n**4 * (180e-6**2 / 3)).sum(axis=1)
+    np.testing.assert_allclose(np.diag(known), np.diag(whole) + 2 * temperature, rtol=0.1)
+
+
+def _with(**sizes):
+    stated = {name: form(limit=limit, distribution="rectangular") for name, (limit, form) in sizes.items()}
+    return BENCH.model_copy(update={"uncertainty": BENCH.uncertainty.model_copy(update=stated)})
 
 
 def _with_meters(gain, offset):
-    from bench.files.bench.uncertainty import RatioError, VoltageError
+    return _with(voltmeter_gain=(gain, RatioError), voltmeter_offset=(offset, VoltageError))
 
-    section = BENCH.uncertainty.model_copy(
-        update={
-            "voltmeter_gain": RatioError(limit=gain, distribution="rectangular"),
-            "voltmeter_offset": VoltageError(limit=offset, distribution="rectangular"),
-        }
-    )
-    return BENCH.model_copy(update={"uncertainty": section})
+
+def test_an_offset_of_the_temperature_moves_what_its_u_says(run):
+    """Off by one u with coefficients of one u: the same throughout the run, so no pass averages it."""
+    found = signed(run)
+    off_k, per_k = 0.5 / np.sqrt(3), 180e-6 / np.sqrt(3)
+    warm = dataclasses.replace(run, signal=run.signal + off_k * per_k * (run.signal - found.block.U0))
+    moved = signed(warm).block.vector - found.block.vector
+    u = np.sqrt(np.diag(source(found, "temperature").covariance))
+    for name in ("Kxx", "Kyy", "Kzz", "Kzx"):
+        j = COEFFICIENTS.index(name)
+        assert abs(moved[j]) == pytest.approx(u[j], rel=0.01)
+    # calibration and check of one table share it
+    without = delta_g_covariance(found, run, _with(temperature=("1 mK", TemperatureError)), MODEL)
+    np.testing.assert_allclose(delta_g_covariance(found, run, BENCH, MODEL), without, rtol=1e-2, atol=1e-14)
 
 
 def test_gravity_is_in_si_alone(run):
