@@ -2,13 +2,13 @@
 
     python -m benchmarks.commands_campaign --transitions 3000 --seed 1
 
-A state machine (hypothesis) goes from an empty folder through `run`, `resume`, `abort`, `calibrate`, `export`, `seal`
-and the panel's buttons, on a bench with three voltmeters that are served on loopback and a head that a person
-turns. Meters are off, are switched off in mid-run, come back; a command is hit by Ctrl-C or SIGTERM, stopped, paused
-or aborted from the panel, or killed: its record then ends at any byte behind what was there before it, and results
-are missing. After every step: each record only grew and `show --verify` holds; no reading stands there twice;
-whatever the program recommends is possible; and where all meters are on, `resume` brings a run to its end with all
-its results. Prints how often what was done; exit status 1, with the steps that lead there, where anything is amiss.
+A state machine (hypothesis) goes from an empty folder through `run`, `resume`, `abort`, `calibrate`, `report`,
+`export`, `seal` and the panel's buttons, on a bench with three voltmeters that are served on loopback and a head
+that a person turns. A meter is off, goes off in mid-run, comes back; a command is hit by Ctrl-C or SIGTERM; it is
+stopped, paused or aborted from the panel, or killed: its record then ends at any byte behind what was there before,
+and results are missing. After every step: each record only grew and `show --verify` holds; no reading stands there
+twice; whatever the program recommends is possible; and where all meters are on, `resume` brings a run to its end
+with all its results. Prints how often what was done; exit status 1 where anything is amiss, with what led there.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from unittest import mock
 import yaml
 from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-import bench.panel.launching.carrying as carrying
 from bench.api.execution import taken_up
 from bench.assembly.simulated import simulated_instruments, world_of
 from bench.cli.app import main as bench_command
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
 from bench.panel.access.people import Role
+from bench.panel.launching import carrying
 from bench.procedure.plan import Read
 from bench.run import asking, listening
 from bench.run.answers import OpenPrompt
@@ -80,7 +80,20 @@ MOST_LOOKS: Final = 1000
 AT_MOST: Final = 4
 """So many runs in a folder: one more step is of one of these."""
 
-TROUBLES: Final = ("", "", "", "ctrl-c", "sigterm", "meter off", "kill", "kill", "stop", "pause", "abort", "results")
+TROUBLES: Final = (
+    "",
+    "",
+    "",
+    "ctrl-c",
+    "sigterm",
+    "meter off",
+    "kill",
+    "kill",
+    "stop",
+    "pause",
+    "abort",
+    "results",
+)
 """What comes over a command, at one of its events; "results" kills it while the results are made."""
 _NAMED: Final = re.compile(r"'bench resume (\S+)'")
 
@@ -160,7 +173,7 @@ class Desk:
             stack.enter_context(mock.patch.object(Record, "append", followed))
             stack.enter_context(mock.patch.object(asking, "LISTEN_S", 0.002))
             stack.enter_context(mock.patch.object(listening, "LISTEN_S", 0.002))
-            stack.enter_context(mock.patch("bench.report.plots._written", lambda *given: EMPTY_FIGURE))
+            stack.enter_context(mock.patch("bench.report.plots._written", return_value=EMPTY_FIGURE))
             self.browser = Browser(self.runs, "anna", Role.OPERATOR)
             stack.enter_context(self.browser.client)  # one loop, in which the panel follows runs
             yield self
@@ -271,7 +284,7 @@ class Desk:
         return f"{self._answer}\n"
 
     def _killed(self, before: dict[str, bytes], at: int, *, results: bool) -> None:
-        """Leave of the run that went on what SIGKILL leaves: its record up to any byte, and no result after that."""
+        """Leave of the run that went on what SIGKILL leaves: its record up to any byte, not all results."""
         for name, content in self._lines().items():
             grown = len(content) - len(before.get(name, b""))
             finished = b'"run_finished"' in content
@@ -313,7 +326,9 @@ class Desk:
         run = Run(self.runs / name)
         wrong = [*run.history.problems]
         steps = Counter(
-            event.step for event in run.history.events if event.type == "step_done" and "reading" in event.data
+            event.step
+            for event in run.history.events
+            if event.type == "step_done" and "reading" in event.data
         )
         wrong += [f"step {step} was read {times} times" for step, times in steps.items() if times > 1]
         planned = {index for index, step in enumerate(run.plan.steps) if isinstance(step, Read)}
@@ -389,12 +404,14 @@ class Evenings(RuleBasedStateMachine):
             raise AssertionError("\n".join(wrong))
 
     def _name(self, which: int) -> str:
-        names = self.desk.names()
-        return names[which % len(names)] if names else "none"
+        return (names := self.desk.names())[which % len(names)]
 
-    def _state(self, name: str) -> RunState | None:
-        folder = self.desk.runs / name
-        return Run(folder).history.state if folder.is_dir() else None
+    def _state(self, name: str) -> RunState:
+        return Run(self.desk.runs / name).history.state
+
+    @initialize(trouble=TROUBLE, at=AT)
+    def begin(self, trouble: str, at: int) -> None:
+        self.run(trouble, at)
 
     @rule(trouble=TROUBLE, at=AT)
     def run(self, trouble: str, at: int) -> None:
@@ -405,19 +422,22 @@ class Evenings(RuleBasedStateMachine):
         said = self.desk.command(
             "run", "short.yaml", "--bench", "bench.yaml", "--name", name, trouble=trouble, at=at
         )
-        self._judge("run", *_amiss(said))
+        self._judge(f"run, {trouble or 'no trouble'}", *_amiss(said))
 
-    @rule(which=RUNS, trouble=TROUBLE, at=AT, named=st.booleans())
-    def resume(self, which: int, trouble: str, at: int, named: bool) -> None:  # noqa: FBT001
-        name = self._name(which)
-        said = self.desk.command("resume", *([name] if named else []), trouble=trouble, at=at)
-        self._judge("resume", *_amiss(said))
+    @rule(which=RUNS, trouble=TROUBLE, at=AT)
+    def resume(self, which: int, trouble: str, at: int) -> None:
+        said = self.desk.command("resume", self._name(which), trouble=trouble, at=at)
+        self._judge(f"resume, {trouble or 'no trouble'}", *_amiss(said))
+
+    @rule(trouble=TROUBLE, at=AT)
+    def resume_latest(self, trouble: str, at: int) -> None:
+        said = self.desk.command("resume", trouble=trouble, at=at)
+        self._judge(f"resume the latest, {trouble or 'no trouble'}", *_amiss(said))
 
     @rule(which=RUNS, trouble=TROUBLE, at=AT)
     def press_resume(self, which: int, trouble: str, at: int) -> None:
-        name = self._name(which)
-        said = self.desk.press(name, "resume", trouble=trouble, at=at)
-        self._judge("resume at the panel", *_amiss(said))
+        said = self.desk.press(self._name(which), "resume", trouble=trouble, at=at)
+        self._judge(f"resume at the panel, {trouble or 'no trouble'}", *_amiss(said))
 
     @rule(which=RUNS)
     def bring_to_its_end(self, which: int) -> None:
@@ -426,9 +446,9 @@ class Evenings(RuleBasedStateMachine):
             self.desk.switch(meter)
         name = self._name(which)
         state = self._state(name)
-        if state is None or state is RunState.ABORTED:
+        if state is RunState.ABORTED:
             return
-        before = not Run(self.desk.runs / name).results_missing
+        before = state is RunState.FINISHED and not Run(self.desk.runs / name).results_missing
         said = self.desk.command("resume", name)
         wrong = _amiss(said)
         if self._state(name) is not RunState.FINISHED or Run(self.desk.runs / name).results_missing:
@@ -437,19 +457,15 @@ class Evenings(RuleBasedStateMachine):
             wrong.append(f"{name}: was {state}, and resume ended with {said.status}: {said.text[-300:]}")
         self._judge("resume to the end", *wrong)
 
-    @rule(which=RUNS)
-    def abort(self, which: int) -> None:
+    @rule(which=RUNS, panel=st.booleans())
+    def abort(self, *, which: int, panel: bool) -> None:
         name = self._name(which)
         state = self._state(name)
-        said = self.desk.command("abort", name)
+        said = self.desk.press(name, "give-up") if panel else self.desk.command("abort", name)
         wrong = _amiss(said)
-        if (said.status == 0) != (state is not None and state not in ENDED):
+        if (said.status == 0) != (state not in ENDED):
             wrong.append(f"{name}: was {state}, and abort ended with {said.status}: {said.text[-300:]}")
-        self._judge("abort", *wrong)
-
-    @rule(which=RUNS)
-    def press_give_up(self, which: int) -> None:
-        self._judge("give up at the panel", *_amiss(self.desk.press(self._name(which), "give-up")))
+        self._judge("give up at the panel" if panel else "abort", *wrong)
 
     @rule(which=RUNS, command=st.sampled_from(["calibrate", "report", "export", "seal"]))
     def evaluate(self, which: int, command: str) -> None:
@@ -459,7 +475,7 @@ class Evenings(RuleBasedStateMachine):
 
     @rule(meter=st.sampled_from(METERS))
     def switch(self, meter: str) -> None:
-        self.desk.switch(meter)
+        self.desk.switch(next(iter(self.desk.off), meter))
         self._judge("switch a meter")
 
 
