@@ -148,6 +148,7 @@ class Desk:
         self._answer, self._events, self._away = "", 0, False
         self._trouble, self._at = "", 0
         self.kept: dict[str, bytes] = {}
+        self._checked: dict[str, bytes] = {}
         self.off: set[str] = set()
         self.after: str = ""
 
@@ -314,8 +315,10 @@ class Desk:
         for name, content in self._lines().items():
             if not content.startswith(self.kept.get(name, b"")):
                 wrong.append(f"{name}: what was on record is there no more")
-            wrong += self._check_run(name)
-            self.kept[name] = _whole(self._lines()[name])
+            if content != self._checked.get(name):
+                wrong += self._check_run(name)
+            self._checked[name] = self._lines()[name]
+            self.kept[name] = _whole(self._checked[name])
         for name in set(self.kept) - set(self._lines()):
             wrong.append(f"{name}: the run is gone")
         for name in _NAMED.findall(self.after):
