@@ -25,6 +25,7 @@ from bench.api.traceability import remarks
 from bench.api.until import noted_goals, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
+from bench.base.whole import to_text, write_whole
 from bench.devices.chambers import ControlledChamberForm
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
@@ -35,7 +36,7 @@ from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.clock_watch import ClockWatch
 from bench.run.control import ControlFile
 from bench.run.digest import Digests
-from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Run, all_runs, checked_name, find_run
+from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, RESULTS, Run, all_runs, checked_name, find_run
 from bench.run.history import History, read_history
 from bench.run.listening import WishListener
 from bench.run.log import RunLog
@@ -260,6 +261,7 @@ def carry_out(
     `interrupts` hears the signals meanwhile, `heard` is who is asked and what is wished.
     """
     signals = interrupts or Interrupts()
+    write_whole(run.folder / RESULTS, to_text({"made": None}))
     heard = heard or Heard(WishListener(ControlFile(run.folder)))
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:

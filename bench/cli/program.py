@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
+from contextlib import suppress
 
 TYPE_CHECKING = False  # as in `bench`
 if TYPE_CHECKING:
@@ -24,13 +26,13 @@ def main() -> None:
     try:
         try:
             signal.signal(signal.SIGINT, _once)
-            if isinstance(sys.stdout, io.TextIOWrapper):
-                # a terminal that knows no µ is no reason to stop
-                sys.stdout.reconfigure(errors="backslashreplace")
             from bench.run.signals import Interrupts
 
             with Interrupts([signal.SIGINT]) as interrupts:
                 interrupts.release(_SAID)
+                if isinstance(sys.stdout, io.TextIOWrapper):
+                    # a terminal that knows no µ is no reason to stop
+                    sys.stdout.reconfigure(errors="backslashreplace")
                 from bench.cli.app import main as command_line
 
                 command_line()
@@ -40,7 +42,19 @@ def main() -> None:
         if isinstance(stop.__context__, SystemExit):
             raise stop.__context__ from None  # it came when the program was done, with its own status
         print(f"bench: {_SAID}", file=sys.stderr)
-        sys.exit(_STOPPED)
+        _leave(_STOPPED)
+    except SystemExit as end:
+        if end.code == _STOPPED and Interrupts.any_heard:
+            _leave(_STOPPED)
+        raise
+
+
+def _leave(status: int) -> None:
+    """End the program now: who has asked it to stop need not wait until all that was imported is taken down."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(Exception):  # the terminal may be what went
+            stream.flush()
+    os._exit(status)
 
 
 def _once(number: int, frame: FrameType | None) -> None:

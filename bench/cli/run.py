@@ -217,7 +217,6 @@ def conclude(run: Run, target: str | None = None) -> int:
 
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     try:
-        write_whole(run.folder / RESULTS, to_text({"made": None}))
         status = max(_draw(run, source, target), charted(run, printing.console(json=target)))
         made = [name for name in _MADE if (run.folder / name).is_file()]
         write_whole(run.folder / RESULTS, to_text({"made": made}))

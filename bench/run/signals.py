@@ -20,7 +20,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from drivers.clock import SystemClock
 from drivers.wire.haste import Haste
@@ -48,8 +48,11 @@ class Interrupts:
     """Within its context signals (`numbers`) raise `KeyboardInterrupt` where the table above says so.
 
     Python drops what is raised in a weak reference's callback or in a `__del__`: it is raised again after that.
-    `haste` is what a further signal asks of the instruments; `end` ends the program with a status.
+    `haste` is what a further signal asks of the instruments; `end` ends the program with a status. `any_heard` says
+    whether one was heard by any of them.
     """
+
+    any_heard: ClassVar[bool] = False
 
     def __init__(self, numbers: Collection[int] = SIGNALS, end: Callable[[int], object] = os._exit) -> None:
         self.haste = Haste()
@@ -103,6 +106,7 @@ class Interrupts:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         again, self._heard = self._heard, True
+        Interrupts.any_heard = True
         if self._last_words is not None:
             if again:
                 self._end_at_once(self._last_words)

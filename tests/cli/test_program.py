@@ -2,17 +2,21 @@
 
 import os
 import signal
+import sys
 
 import pytest
 
 from bench.api.errors import Refused
 from bench.cli import app, program
+from bench.run.signals import Interrupts
 
 
 @pytest.fixture
-def handler():
+def handler(monkeypatch):
     """Give the handler back: the program never hears Ctrl-C again once it has ended."""
     before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(program.os, "_exit", sys.exit)
+    monkeypatch.setattr(Interrupts, "any_heard", False)
     yield
     signal.signal(signal.SIGINT, before)
 
