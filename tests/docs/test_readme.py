@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 import yaml
 
 from bench.assembly.served import dry_bench
+from bench.base.extras import EXTRAS
 from bench.model import ForwardModel
 from tests.support.certified_bench import meter_certificate, table_certificate
 from tests.support.pages import ROOT, blocks, commands
@@ -85,7 +87,10 @@ def follow(words, bench):
         case ["make", "test"]:
             assert recipe_of("test")[:3] == ["python", "-m", "pytest"]  # this
         case ["make", target]:
-            follow(recipe_of(target), bench)
+            with pytest.MonkeyPatch.context() as patch:  # it installs none of them
+                for package in (one for packages in EXTRAS.values() for one in packages):
+                    patch.setitem(sys.modules, package, None)
+                follow(recipe_of(target), bench)
         case ["pip", "install", wanted, "-c", constraints]:
             project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
             assert set(re.findall(r"\w+", wanted)) <= set(project["optional-dependencies"])
