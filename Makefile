@@ -1,6 +1,7 @@
 # Every target sets up what it needs; a second call does only the work itself.
 PYTHON ?= python3
 VENV := .venv
+PRODUCT := $(VENV)/.product
 STAMP := $(VENV)/.installed
 # Without its bytecode each test process would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
@@ -8,7 +9,8 @@ PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 
 .PHONY: dry-run test test-quick test-browser coverage mutation lint hooks docs blind-trial clean
 
-dry-run: $(STAMP)
+# The program alone; every other target adds the tools of tests and of development to the same environment.
+dry-run: $(PRODUCT)
 	$(VENV)/bin/bench run paper --dry-run
 
 test: $(STAMP)
@@ -46,10 +48,14 @@ hooks: $(STAMP)
 	$(VENV)/bin/pre-commit install
 
 # PIP_CONSTRAINT reaches the isolated environment in which the package itself is built, too.
-$(STAMP): pyproject.toml constraints.txt
+$(PRODUCT): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
+	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable .
+	touch $@
+
+$(STAMP): $(PRODUCT)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[test,dev]'
-	touch $(STAMP)
+	touch $@
 
 # A site of the pages under docs, with the references made from the code; a broken link is an error.
 docs: $(VENV)/.documented

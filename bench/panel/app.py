@@ -54,7 +54,7 @@ ROUTES = [
     Route("/runs/{name}/check-answer", live.check_answer),
 ]
 
-KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError)
+KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError, ImportError)
 """Errors that were made to be read by a person: what a record or a file is like is no defect of the panel."""
 
 

@@ -36,9 +36,11 @@ def leave_safe(
 
 
 def _standby(chamber: ThermalChamber, demanded_c: float | None) -> str:
-    by_hand = f"goes on conditioning at {demanded_c or 0.0:g} °C: switch it off by hand"
-    if demanded_c is None:
-        by_hand = "could not be put into standby: where it conditions, switch it off by hand"
+    by_hand = (
+        "could not be put into standby: where it conditions, switch it off by hand"
+        if demanded_c is None
+        else f"goes on conditioning at {demanded_c:g} °C: switch it off by hand"
+    )
     attempts = Attempts()
     attempts.make(by_hand, chamber.make_safe)
     return attempts.end()

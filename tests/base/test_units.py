@@ -105,6 +105,7 @@ def test_gravity_falls_with_height_as_published(latitude_deg, height_m):
     assert fall == pytest.approx(mgal * 1e-5, rel=5e-5)
 
 
-def test_there_is_no_gravity_beyond_the_pole():
-    with pytest.raises(ValueError, match="between -90° and 90°, not at 91°"):
-        normal_gravity_m_s2(math.radians(91))
+@pytest.mark.parametrize("latitude_deg", [91, -500, math.nan])
+def test_there_is_no_gravity_beyond_the_pole(latitude_deg):
+    with pytest.raises(ValueError, match=f"between -90° and 90°, not at {latitude_deg:g}°"):
+        normal_gravity_m_s2(math.radians(latitude_deg))

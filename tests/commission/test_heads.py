@@ -10,7 +10,7 @@ from bench.commission.heads import check_limits, check_moves
 from bench.run.control import OperatorWish, RunControl
 from bench.run.states import Wish
 from bench.run.workbench import Instruments
-from drivers.interfaces import InstrumentLost
+from drivers.interfaces import InstrumentLost, InstrumentRefused
 from drivers.manual.head import ManualHead
 from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, meters, motorised
@@ -94,6 +94,19 @@ def test_a_stop_that_is_not_obeyed_is_told_and_repeated(clock, person):
     stop = next(one for one in given.findings if one.check == "stop")
     assert stop.state is State.OTHER
     assert "emergency stop" in stop.remedy
+
+
+def test_a_stop_that_fails_twice_is_told_with_the_emergency_stop(clock, person, monkeypatch):
+    given = tonight(clock, person, angle_rad=1.0)
+
+    def refused():
+        raise InstrumentRefused("head", "it refuses ST", "see its display")
+
+    monkeypatch.setattr(given.instruments.head, "stop", refused, raising=False)
+    check_moves(given)
+    stop = next(one for one in given.findings if one.check == "stop")
+    assert (stop.state, stop.said) == (State.OTHER, "it refuses ST")
+    assert "emergency stop where it does not (it refuses ST)" in stop.remedy
 
 
 def test_whatever_ends_the_stop_the_head_was_told_to_stop(clock, person, monkeypatch):

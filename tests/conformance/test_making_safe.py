@@ -154,7 +154,12 @@ def test_each_command_that_makes_safe_fails_in_turn(device, tmp_path, how):
                 assert is_safe(stand), command
 
 
-LOCKED = [d for role in ("voltmeter", "power_supply") for d in known(role) if "rs232" in interfaces(d)]
+LOCKED = [
+    d
+    for role in ("voltmeter", "thermometer", "power_supply")
+    for d in known(role)
+    if "rs232" in interfaces(d)
+]
 
 
 @pytest.mark.parametrize("device", LOCKED, ids=lambda device: device.name)

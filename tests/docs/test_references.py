@@ -126,3 +126,14 @@ def test_pages_are_written_and_stale_ones_go(tmp_path):
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     write_pages(tmp_path)
     assert before == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
+def test_every_path_that_is_named_in_the_checkout_is_there(page):
+    text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.M | re.S)
+    quoted = re.findall(r"`([\w.*/-]+)`", text)
+    paths = [name for name in quoted if "/" in name or name.endswith((".md", ".toml", ".txt", ".cff", ".py"))]
+    paths += [link.partition("#")[0] for link in LINK.findall(text) if "://" not in link]
+    made = {"docs/_build/html/index.html"}
+    assert len(paths) > 5
+    assert [path for path in paths if path not in made and not any(ROOT.glob(path))] == []

@@ -1,5 +1,7 @@
 """The pages on units: a search, a unit's page, for whoever may look; nothing is written."""
 
+import sys
+
 import pytest
 
 from bench.catalogue.store import open_catalogue
@@ -36,6 +38,13 @@ def test_units_are_searched_by_a_part_of_their_name_or_by_a_question(viewer):
     assert "1 units" in viewer.get("/catalogue?ask=verdict=fail").text
     wrong = viewer.get("/catalogue?ask=metre=1")
     assert (wrong.status_code, "no key metre" in wrong.text) == (409, True)
+
+
+def test_without_its_package_a_page_says_what_installs_it(viewer, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sqlalchemy", None)
+    shown = viewer.get("/catalogue/unit/17")
+    assert shown.status_code == 409
+    assert "the package sqlalchemy is not installed: pip install" in shown.text
 
 
 def test_a_unit_has_its_coefficients_runs_and_date(viewer):

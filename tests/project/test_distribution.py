@@ -1,10 +1,13 @@
 """What is installed with a bench, and what its licences allow."""
 
 import re
+import shutil
+import subprocess
 import tomllib
 from importlib import metadata
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
@@ -44,6 +47,19 @@ def test_a_bench_installs_no_tool_of_tests_or_of_documentation():
     found = runtime()
     assert {"numpy", "scipy", "typing-extensions"} <= found
     assert found.isdisjoint({"allantools", "pytest", "sphinx", "numpydoc", "docutils", "hypothesis", "gtc"})
+
+
+def test_a_dry_run_installs_the_program_alone():
+    """`make -n` says what would be done and does nothing."""
+    make = shutil.which("make")
+    if make is None:
+        pytest.skip("there is no make")
+    told = {}
+    for target in ("dry-run", "test"):
+        command = [make, "--dry-run", "--always-make", target]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)  # noqa: S603
+        told[target] = re.findall(r"pip install .*--editable (\S+)", done.stdout)
+    assert told == {"dry-run": ["."], "test": [".", "'.[test,dev]'"]}
 
 
 def test_no_licence_of_what_a_bench_installs_forbids_apache_2():

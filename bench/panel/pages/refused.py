@@ -9,6 +9,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
+from bench.base.extras import missing
 from bench.base.visible import visible
 from bench.panel.access.people import Refusal
 from bench.panel.pages.shown import page
@@ -45,7 +46,11 @@ def by_refusal(request: Request, error: Exception) -> Response:
 
 
 def by_record(request: Request, error: Exception) -> Response:
-    """Answer for a record or a file that cannot be read or written."""
+    """Answer for a record or a file that cannot be read or written, or a package that is not installed."""
     if isinstance(error, OSError):
         return refused(request, Refusal(409, f"{error.filename or 'a file'}: {error.strerror or error}"))
+    if isinstance(error, ImportError):
+        if not (told := missing(error)):
+            raise error
+        return refused(request, Refusal(409, told))
     return refused(request, Refusal(409, str(error)))
