@@ -218,13 +218,15 @@ RuleOption = Annotated[
         "--rule",
         metavar="RULE",
         help="simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
-        "statements (default: the bench file's, or simple).",
+        "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
     ),
 ]
 GuardBandOption = Annotated[
     float | None,
     typer.Option(
-        "--guard-band", metavar="R", help="Guard band of the rule: w = R U (default: the bench file's, or 1)."
+        "--guard-band",
+        metavar="R",
+        help="Guard band of the rule: w = R U (default: the bench file's, or that of the rule).",
     ),
 ]
 PopulationOption = Annotated[
@@ -232,7 +234,7 @@ PopulationOption = Annotated[
     typer.Option(
         "--population",
         metavar="MEAN SD",
-        help="Mean and standard deviation of Δg over many blocks, g: for the global risk.",
+        help="Mean and standard deviation of Δg over many blocks, g: they enter the risks.",
     ),
 ]
 LimitOption = Annotated[float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")]
