@@ -14,7 +14,7 @@ from rich.table import Table
 
 from bench.analysis.budget.sources import hidden_sources
 from bench.analysis.budget.whole import delta_g_contributions, delta_g_elsewhere
-from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
+from bench.analysis.calibration import CalibrationError, LackOfFit, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.analysis.calibration.same_meters import drifted
@@ -150,13 +150,20 @@ def _default_of(run: Run | None) -> DecisionRule:
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are on the coefficients taken, `said` is on their uncertainty.
+    `warnings` are on the coefficients taken, `said` is on their uncertainty, `fit` is that of coefficients of the
+    same readings.
     """
 
     source: Source
     verification: Verification
     warnings: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
+    fit: LackOfFit | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it passed, by coefficients of these readings that are accepted, or by those of another day."""
+        return self.passed and (self.fit is None or self.fit.accepted())
 
     @property
     def passed(self) -> bool:
@@ -185,6 +192,11 @@ class VerificationResult:
         return (*advice(self.verification), *global_risk_in_words(self.verification))
 
     @property
+    def _against(self) -> tuple[str, ...]:
+        """What speaks against coefficients that were found of the same readings."""
+        return () if self.fit is None else self.fit.diagnose(self.source.name)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the result should know, a sentence each."""
         return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
@@ -193,7 +205,7 @@ class VerificationResult:
         """Return the result as `bench verify --json` writes it."""
         return {
             **self.verification.to_json(),
-            "notes": list(self.sentences),
+            "notes": [*self.sentences, *self._against],
             "bench": self.source.taken.to_dict(),
             "corrections": self.source.traced.to_json(),
         }
@@ -215,8 +227,8 @@ class VerificationResult:
         return shown
 
     def verdict(self) -> str:
-        """Return the verdict in one line."""
-        return verdict_line(self.source.name, self.verification)
+        """Return the verdict in one line, and why it is not accepted where the coefficients are not."""
+        return "; ".join((verdict_line(self.source.name, self.verification), *self._against))
 
     def __repr__(self) -> str:
         """Return the points and the verdict."""
@@ -288,7 +300,10 @@ def verification_of(
         joint=joint,
         population=judgement.population,
     )
-    return VerificationResult(source, verdict, warnings, said)
+    fit = None
+    if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
+        fit = coefficients.calibration.lack_of_fit
+    return VerificationResult(source, verdict, warnings, said, fit)
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:

@@ -212,6 +212,10 @@ JoinVerificationOption = Annotated[
     bool,
     typer.Option("--join-verification", help="So do verification points; they check nothing then."),
 ]
+StrictFitOption = Annotated[
+    bool,
+    typer.Option("--strict", help="A lack of fit of p < 0.01 is not accepted, either (without it: 1e-4)."),
+]
 RuleOption = Annotated[
     str | None,
     typer.Option(

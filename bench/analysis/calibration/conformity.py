@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.base.arrays import Floats, Mask, u_of
+from bench.base.arrays import Floats, Mask
 
 SIMPLE: Final = "simple acceptance"
 GUARDED: Final = "guarded"
@@ -41,9 +41,11 @@ _SEED: Final = 106
 _DRAWS: Final = 100_000
 _AT_ONCE: Final = 10_000
 _NEGLIGIBLE: Final = 1e-9
-_SCALES: Final = 200
+_SCALES: Final = 201
 """So many normal distributions make a t."""
-_CORRELATIONS: Final = (0.0, 0.5, 1.0)
+_FARTHEST: Final = 30.0
+_ALIKE: Final = (0.0, 1.0)
+"""Correlation of the points of a block in its population: each has an error of its own, or all have one."""
 _HALVINGS: Final = 50
 _FAR: Final = 12.0
 """So many standard deviations away nothing is left of a normal distribution."""
@@ -271,18 +273,22 @@ def _mixture(y: Floats, u: Floats, dof: Floats, population: Population) -> tuple
     """Return sizes (m, …) of the normal distributions of which t is the mixture, with their weights after y."""
     if np.all(np.isinf(dof)):
         return u[None], np.ones((1, *y.shape))
-    sizes = np.sqrt(_scales(dof)) * u
+    factors, log_weights = _scales(dof)
+    sizes = np.sqrt(factors) * u
     variance = population.variance + sizes**2
-    weight = special.softmax(-0.5 * ((y - population.mean) ** 2 / variance + np.log(variance)), axis=0)
-    return sizes, weight
+    off = (y - population.mean) ** 2 / variance + np.log(variance)
+    return sizes, special.softmax(log_weights - 0.5 * off, axis=0)
 
 
-def _scales(dof: Floats) -> Floats:
-    """Return equally probable factors (m, …) of the variance by which a normal distribution becomes t."""
-    level = (np.arange(_SCALES) + 0.5) / _SCALES
+def _scales(dof: Floats) -> tuple[Floats, Floats]:
+    """Return factors (m, …) of the variance that make normal distributions a t, with the logarithms of the weights.
+
+    Quantiles of chi-square, evenly spaced in the logit of their probability, so that far tails are among them.
+    """
+    logit = np.linspace(-_FARTHEST, _FARTHEST, _SCALES).reshape(-1, *[1] * np.ndim(dof))
     nu = np.where(np.isinf(dof), 1.0, dof)[None]
-    finite = nu / special.chdtri(nu, 1.0 - level.reshape(-1, *[1] * np.ndim(dof)))
-    return np.where(np.isinf(dof)[None], 1.0, finite)
+    factors = np.where(np.isinf(dof)[None], 1.0, nu / special.chdtri(nu, special.expit(-logit)))
+    return factors, np.broadcast_to(special.log_expit(logit) + special.log_expit(-logit), factors.shape)
 
 
 def _below(t: Floats, dof: Floats) -> Floats:
@@ -301,19 +307,19 @@ def probability_one_outside(
     """Return the probability that of n quantities at least one lies outside ±limit.
 
     `value` (n,) with `covariance` (n, n) and `dof`, of which the least counts for all: they were found together.
-    A `population` is the distribution of each before the measurement. How the points of one block hang together is
-    not stated with it: correlations between none and full are equally probable before, and the values tell.
+    A `population` is the distribution of each before the measurement. Whether the points of one block have one
+    error or each its own is not stated with it: both are equally probable before, and the values tell.
     By `_DRAWS` draws with a seed of its own, the same at each call: a probability of 0.01 is found to 0.0003.
     Rarer ones are held by those of the single quantities: at least the largest, at most their sum.
     """
     nu = float(np.min(np.asarray(dof)))
     if population is None:
         parts = [(1.0, value, covariance)]
-        single = probability_outside(value, u_of(covariance), limit, dof)
+        single = probability_outside(value, _sizes(covariance), limit, dof)
     else:
         parts = _after(value, covariance, nu, population)
         nu = math.inf
-        single = np.sum([w * probability_outside(m, u_of(c), limit) for w, m, c in parts], axis=0)
+        single = np.sum([w * probability_outside(m, _sizes(c), limit) for w, m, c in parts], axis=0)
     least, most = float(np.max(single)), min(float(np.sum(single)), 1.0)
     if len(value) == 1 or most - least <= _NEGLIGIBLE:
         return least
@@ -324,6 +330,10 @@ def probability_one_outside(
         found = sum(_outside(rng, mean, spread, limit, nu) for _ in range(draws))
         outside += weight * found / (draws * _AT_ONCE)
     return min(max(outside, least), most)
+
+
+def _sizes(covariance: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def _outside(rng: np.random.Generator, mean: Floats, covariance: Floats, limit: float, dof: float) -> int:
@@ -340,15 +350,18 @@ def _after(
 ) -> list[tuple[float, Floats, Floats]]:
     """Return weights, means (n,) and covariances (n, n) of the normal distributions that make up the posterior."""
     n, off = len(value), value - population.mean
-    scales = [1.0] if math.isinf(dof) else _scales(np.array(dof)).tolist()[:: _SCALES // 10]
+    scales = [(1.0, 0.0)]
+    if math.isfinite(dof):
+        scales = list(zip(*(one[:: _SCALES // 20].tolist() for one in _scales(np.array(dof))), strict=True))
     found, log_weights = [], []
-    for common in _CORRELATIONS if n > 1 else (0.0,):
-        prior = population.variance * (common * np.ones((n, n)) + (1.0 - common + _NEGLIGIBLE) * np.eye(n))
-        for scale in scales:
+    for alike in _ALIKE if n > 1 else (0.0,):
+        prior = population.variance * (alike * np.ones((n, n)) + (1.0 - alike + _NEGLIGIBLE) * np.eye(n))
+        for scale, log_weight in scales:
             both = prior + scale * covariance
             gain = np.linalg.solve(both, prior).T
             found.append((population.mean + gain @ off, prior - gain @ prior))
-            log_weights.append(-0.5 * (off @ np.linalg.solve(both, off) + np.linalg.slogdet(both)[1]))
+            fit = off @ np.linalg.solve(both, off) + np.linalg.slogdet(both)[1]
+            log_weights.append(log_weight - 0.5 * fit)
     weights = special.softmax(log_weights).tolist()
     return [(w, *after) for w, after in zip(weights, found, strict=True) if w > _NEGLIGIBLE]
 

@@ -159,9 +159,9 @@ def test_one_size_for_all_channels_is_that_size_in_each(covariance):
 
 
 def test_a_covariance_of_the_points_that_is_known_is_taken_as_it_is():
-    joint = np.full((4, 4), 1e-10)
+    joint = {"all": np.full((4, 4), 1e-10)}
     result = verify(turned(), BLOCK, NONE, 1.0, 3e-4, 2.0, joint=joint)
-    np.testing.assert_allclose(result.covariance, 4 * joint)
+    np.testing.assert_allclose(result.covariance, 4 * joint["all"])
     assert [p.u for p in result.points] == pytest.approx([2e-5] * 4)
 
 
