@@ -264,9 +264,13 @@ def verification_of(
     source: Source,
     coefficients: Path | CalibrationResult | None = None,
     asked: Asked = NOTHING_ASKED,
+    agreed: DecisionRule | None = None,
 ) -> VerificationResult:
-    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings."""
-    judgement = own_judgement(source, asked)
+    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
+
+    By the rule `agreed` where neither the source nor who asks states one.
+    """
+    judgement = own_judgement(source, asked, agreed=agreed)
     warnings: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
     if coefficients is None:

@@ -10,7 +10,7 @@ part within the tolerance (JCGM 106:2012, 7). Rules and statements: JCGM 106:201
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Final
@@ -44,8 +44,11 @@ _NEGLIGIBLE: Final = 1e-9
 _SCALES: Final = 201
 """So many normal distributions make a t."""
 _FARTHEST: Final = 30.0
-_ALIKE: Final = (0.0, 1.0)
-"""Correlation of the points of a block in its population: each has an error of its own, or all have one."""
+_ALIKE: Final = {1.0: 0.8, 0.0: 0.2}
+"""Correlation of the points of a block in its population, and how probable it is before they are measured.
+
+A population is of blocks: that a block has one error is the more probable; one for each point is not excluded.
+"""
 _HALVINGS: Final = 50
 _FAR: Final = 12.0
 """So many standard deviations away nothing is left of a normal distribution."""
@@ -308,7 +311,7 @@ def probability_one_outside(
 
     `value` (n,) with `covariance` (n, n) and `dof`, of which the least counts for all: they were found together.
     A `population` is the distribution of each before the measurement. Whether the points of one block have one
-    error or each its own is not stated with it: both are equally probable before, and the values tell.
+    error or each its own is not stated with it: the values tell, after what `_ALIKE` holds probable before.
     By `_DRAWS` draws with a seed of its own, the same at each call: a probability of 0.01 is found to 0.0003.
     Rarer ones are held by those of the single quantities: at least the largest, at most their sum.
     """
@@ -318,8 +321,8 @@ def probability_one_outside(
         single = probability_outside(value, _sizes(covariance), limit, dof)
     else:
         parts = _after(value, covariance, nu, population)
+        single = _each_outside(parts, limit)
         nu = math.inf
-        single = np.sum([w * probability_outside(m, _sizes(c), limit) for w, m, c in parts], axis=0)
     least, most = float(np.max(single)), min(float(np.sum(single)), 1.0)
     if len(value) == 1 or most - least <= _NEGLIGIBLE:
         return least
@@ -330,6 +333,19 @@ def probability_one_outside(
         found = sum(_outside(rng, mean, spread, limit, nu) for _ in range(draws))
         outside += weight * found / (draws * _AT_ONCE)
     return min(max(outside, least), most)
+
+
+def probability_worst_outside(
+    value: Floats, covariance: Floats, limit: float, dof: ArrayLike, population: Population
+) -> float:
+    """Return the largest of the probabilities of single quantities, each after all values; else as all together."""
+    parts = _after(value, covariance, float(np.min(np.asarray(dof))), population)
+    return float(np.max(_each_outside(parts, limit)))
+
+
+def _each_outside(parts: Sequence[tuple[float, Floats, Floats]], limit: float) -> Floats:
+    """Return the probability of each quantity (n,) that it lies outside ±limit, of a mixture of distributions."""
+    return np.asarray(sum(w * probability_outside(mean, _sizes(c), limit) for w, mean, c in parts))
 
 
 def _sizes(covariance: Floats) -> Floats:
@@ -354,14 +370,14 @@ def _after(
     if math.isfinite(dof):
         scales = list(zip(*(one[:: _SCALES // 20].tolist() for one in _scales(np.array(dof))), strict=True))
     found, log_weights = [], []
-    for alike in _ALIKE if n > 1 else (0.0,):
+    for alike, probability in _ALIKE.items() if n > 1 else [(0.0, 1.0)]:
         prior = population.variance * (alike * np.ones((n, n)) + (1.0 - alike + _NEGLIGIBLE) * np.eye(n))
         for scale, log_weight in scales:
             both = prior + scale * covariance
             gain = np.linalg.solve(both, prior).T
             found.append((population.mean + gain @ off, prior - gain @ prior))
             fit = off @ np.linalg.solve(both, off) + np.linalg.slogdet(both)[1]
-            log_weights.append(log_weight - 0.5 * fit)
+            log_weights.append(math.log(probability) + log_weight - 0.5 * fit)
     weights = special.softmax(log_weights).tolist()
     return [(w, *after) for w, after in zip(weights, found, strict=True) if w > _NEGLIGIBLE]
 

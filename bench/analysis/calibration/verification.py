@@ -19,6 +19,7 @@ from bench.analysis.calibration.conformity import (
     coverage_factor,
     global_risk,
     probability_one_outside,
+    probability_worst_outside,
 )
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
@@ -178,29 +179,43 @@ class Verification:
 
     @property
     def p_outside_worst(self) -> float:
-        """Probability that the true error is outside the limit at that point where it is most probable."""
-        return max(point.p_outside for point in self.points)
+        """Probability that the true error is outside the limit at that point where it is most probable.
+
+        With a population it is that after all points' readings, as is the one of all points together.
+        """
+        if self.population is None:
+            return max(point.p_outside for point in self.points)
+        return probability_worst_outside(
+            self._errors, self.covariance, self.limit_g, self._dof, self.population
+        )
 
     @cached_property
     def p_outside(self) -> float:
         """Probability that the true error is outside the limit at one of the points at least."""
-        errors, dof = ([getattr(p, name) for p in self.points] for name in ("delta_g", "dof"))
-        return probability_one_outside(np.array(errors), self.covariance, self.limit_g, dof, self.population)
+        return probability_one_outside(
+            self._errors, self.covariance, self.limit_g, self._dof, self.population
+        )
+
+    @property
+    def _errors(self) -> Floats:
+        return np.array([point.delta_g for point in self.points])
+
+    @property
+    def _dof(self) -> Floats:
+        return np.array([point.dof for point in self.points])
 
     @cached_property
     def to_pass(self) -> ToPass | None:
         """What would make it pass, all else as it is; None where it passes, or points are missing."""
         if self.passed or self.missing:
             return None
-        errors, u, dof = (
-            np.array([getattr(p, name) for p in self.points]) for name in ("delta_g", "u", "dof")
-        )
-        known, sizes = Known.of(u, dof, self.population), np.abs(errors)
+        u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
+        known = Known.of(u, self._dof, self.population)
 
         def passes(limit: float, times: float) -> bool:
             return bool(np.all(sizes <= self.decision.acceptance_limit(limit, known.but(times=times))))
 
-        most = float(np.max(sizes + 4.0 * known.expanded))
+        most = float(np.max(sizes + (4.0 + (self.decision.guard_band or 0.0)) * known.expanded))
         needed = max(range(len(sizes)), key=lambda i: sizes[i] - self.points[i].accepted_up_to)
         return ToPass(
             limit_g=_bisected(lambda limit: passes(limit, 1.0), most, self.limit_g),
