@@ -53,7 +53,7 @@ def calibrate(
     strict: StrictFitOption = False,
     runs: RunsOption = RUNS,
 ) -> int:
-    """Coefficients with uncertainty from runs or readings files; exit status 1 where the model does not fit."""
+    """Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit."""
     from bench.analysis.calibration.estimators import GLS, find_estimator
     from bench.api.calibration import calibration_of
     from bench.api.source import Request, load_sources

@@ -116,7 +116,7 @@ def test_risks_of_guard_bands_are_those_of_ilac_g8(band, risk):
 @pytest.mark.parametrize("dof", [np.inf, 30.0, 5.0])
 @pytest.mark.parametrize("ratio", [1.0, 1.05, 1.5, 4.0])
 def test_without_a_rule_it_is_accepted_up_to_five_per_cent(dof, ratio):
-    """JCGM 106:2012, 8.3.2: the guard band is where a twentieth of the distribution lies outside, on both sides."""
+    """JCGM 106:2012, 8.3.2: the guard band is where a twentieth of the distribution lies outside."""
     known = Known.of(0.1, dof)
     limit = ratio * known.expanded.item()
     rule = DecisionRule.of(None)
@@ -277,7 +277,7 @@ def test_a_population_without_bounds_tells_nothing():
 
 @pytest.mark.parametrize(("mean", "deviation"), [(0.0, 1.0), (0.6, 0.8), (0.0, 0.2)])
 def test_with_a_population_the_guard_band_is_where_its_risk_is(mean, deviation):
-    """On the worse side five per cent, never beyond the limit; where the mean is too far out nothing is accepted."""
+    """On the worse side five per cent, never beyond the limit; nothing where the mean is too far out."""
     population = Population(mean, deviation)
     at = DecisionRule.of(None).acceptance_limit(2.0, Known.of(0.8, population=population)).item()
     worst = max(after(side * at, 0.8, np.inf, population, 2.0) for side in (1, -1))
