@@ -76,7 +76,7 @@ class Decided:
 
 
 def simulate(rng: np.random.Generator, noise: float, errors: Floats) -> Readings:
-    """Return the readings of a run with the true errors (passes, 4) of the modulus at its verification points, g."""
+    """Return the readings of a run with true errors (passes, 4) of the modulus at its verification points, g."""
     rows, force = [], []
     tilt, offset = (rng.normal(0, STAND_U[name]) for name in ("axis_tilt", "zero_offset"))
     for label in ("1", "2"):

@@ -219,7 +219,7 @@ def test_a_conditional_pass_of_the_non_binary_rule_is_left_open():
 
 
 def test_what_would_make_it_pass_makes_it_pass():
-    """A limit and a u from the result itself: with either the same readings pass, with a little less they do not."""
+    """With the limit or the u that it says the same readings pass, with a little less they do not."""
     result = verify(turned(), altered_z(1.00055), NONE, 1e-4, 3e-4)
     assert (result.statement, result.passed) == ("conditional pass", False)
     needed = result.to_pass
