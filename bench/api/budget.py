@@ -111,8 +111,9 @@ def budget(
     learned = take_learned(taken.learned(), today, VOLTS)
     setup = make_setup(plan, file, with_effects(_model(model, file), learned.effects), block)
     question = Question(
-        file.unit_under_test.range, judgement.limit_g, judgement.rule, trials, same_voltmeters
-    )
+        file.unit_under_test.range, judgement.limit_g, judgement.rule, trials, same_voltmeters,
+        judgement.population,
+    )  # fmt: skip
     found = assess(
         setup, bench_sources(file, setup, today, learned.known), estimator, question, learned.known
     )

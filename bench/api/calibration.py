@@ -109,7 +109,12 @@ class CalibrationResult:
     def notes(self) -> tuple[str, ...]:
         """What a reader of the result should know, a sentence each; rows that were left out, too."""
         readings = self.source.readings
-        return (*self.doubts, *self._of_prior, *self.calibration.notes, *readings.notes, *readings.skipped)
+        return (*self._said, *readings.notes, *readings.skipped)
+
+    @property
+    def _said(self) -> tuple[str, ...]:
+        fit = self.calibration.lack_of_fit.diagnose(self.source.name)
+        return (*fit, *self.doubts, *self._of_prior, *self.calibration.notes)
 
     @property
     def _of_prior(self) -> tuple[str, ...]:
@@ -117,8 +122,13 @@ class CalibrationResult:
 
     @property
     def accepted(self) -> bool:
+        """Whether the readings do not contradict the model (p of lack of fit not below 1e-4)."""
+        return self.calibration.lack_of_fit.accepted()
+
+    @property
+    def strictly_accepted(self) -> bool:
         """Whether the model fits the readings (p of lack of fit not below 0.01) and the block is no other."""
-        return not self.doubts and not self.calibration.lack_of_fit.shown
+        return not self.doubts and self.calibration.lack_of_fit.accepted(strict=True)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""
@@ -135,7 +145,7 @@ class CalibrationResult:
             "corrections": source.traced.to_json(),
             **({} if source.run is None else {"record": record_head(source.run)}),
             **({} if self.prior is None else {"prior": self.prior.to_json()}),
-            "notes": [*self.doubts, *self._of_prior, *self.calibration.notes, *source.readings.notes],
+            "notes": [*self._said, *source.readings.notes],
             "skipped_rows": list(source.readings.skipped),
         }
 

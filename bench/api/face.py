@@ -127,7 +127,8 @@ def verify(
     `coefficients` are those of another day: a result, or a file of `bench calibrate --json`; without them those of
     the same readings. `rule` is "simple" (|Δg| within the limit), "guarded" (|Δg| + w, where w is U or
     `guard_band` times U) or "non-binary"; `population` the mean and the standard deviation of Δg over many blocks,
-    g, for the global risk. What is not given of these is the bench file's. Else as in `calibrate`.
+    g, which enter the risks. What is not given of these is the bench file's; a rule that nobody states is the
+    non-binary one with 5 % of false acceptance at most. Else as in `calibrate`.
     """
     asked = Asked(limit, rule, guard_band, population)
     asked.check()

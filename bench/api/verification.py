@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.analysis.budget.sources import hidden_sources
-from bench.analysis.budget.whole import delta_g_covariance, delta_g_elsewhere
-from bench.analysis.calibration import CalibrationError, Verification, VerificationPoint
+from bench.analysis.budget.whole import delta_g_contributions, delta_g_elsewhere
+from bench.analysis.calibration import CalibrationError, LackOfFit, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
-from bench.analysis.calibration.conformity import GUARDED, SIMPLE, DecisionRule, Population
+from bench.analysis.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.analysis.calibration.same_meters import drifted
 from bench.analysis.calibration.verdict_words import (
     advice,
@@ -71,7 +71,7 @@ class Asked:
         if self.limit_g is not None and not (math.isfinite(self.limit_g) and self.limit_g > 0):
             mistakes.append(f"--limit {self.limit_g}: a limit is a positive number of g, such as 3e-4")
         try:
-            DecisionRule.of(self.rule or GUARDED, self.guard_band)
+            DecisionRule.of(self.rule, self.guard_band)
         except CalibrationError as mistake:
             mistakes.append(str(mistake))
         try:
@@ -84,6 +84,7 @@ class Asked:
 
 
 NOTHING_ASKED: Final = Asked()
+NOBODY_STATED_ONE: Final = DecisionRule()
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,11 @@ class Judgement:
     def but(self, asked: Asked) -> Judgement:
         """Return what was asked for, in place of what there is; a guard band goes with its own rule alone."""
         rule = self.rule
-        if asked.rule is not None or asked.guard_band is not None:
-            name = rule.name if asked.rule is None else DecisionRule.of(asked.rule).name
-            kept = rule.guard_band if name == rule.name != SIMPLE else None
-            rule = DecisionRule.of(name, kept if asked.guard_band is None else asked.guard_band)
+        if asked.guard_band is not None:
+            rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)
+        elif asked.rule is not None:
+            named = DecisionRule.of(asked.rule)
+            rule = rule if named.name == rule.name and rule.guard_band is not None else named
         return Judgement(
             self.limit_g if asked.limit_g is None else asked.limit_g,
             rule,
@@ -108,15 +110,16 @@ class Judgement:
         )
 
 
-def judgement_of(bench: BenchFile, *asked: Asked) -> Judgement:
+def judgement_of(bench: BenchFile, *asked: Asked, default: DecisionRule = NOBODY_STATED_ONE) -> Judgement:
     """Return by what a verdict is found: what was asked for, the last first, else what the bench file says.
 
-    Raises `Refused` as `Asked.check`, and `CalibrationError` for a guard band with a rule that has none.
+    Where neither names a rule it is the `default`. Raises `Refused` as `Asked.check`, and `CalibrationError` for a
+    guard band with a rule that has none.
     """
     stated, known = bench.verification, bench.verification.population
     judgement = Judgement(
         stated.limit,
-        DecisionRule.of(stated.rule, stated.guard_band),
+        DecisionRule.of(stated.rule, stated.guard_band) if stated.names_a_rule else default,
         None if known is None else Population(known.mean, known.standard_deviation),
     )
     for one in asked:
@@ -125,22 +128,42 @@ def judgement_of(bench: BenchFile, *asked: Asked) -> Judgement:
     return judgement
 
 
-def own_judgement(source: Source, *asked: Asked) -> Judgement:
-    """Return by what the verdict on a source is found: of a run as it was begun, unless more is asked for."""
-    return judgement_of(source.bench, Asked.of_run(source.run), *asked)
+def own_judgement(source: Source, *asked: Asked, agreed: DecisionRule | None = None) -> Judgement:
+    """Return by what the verdict on a source is found: of a run as it was begun, unless more is asked for.
+
+    `agreed` holds where neither the run nor its bench file names a rule.
+    """
+    return judgement_of(
+        source.bench, Asked.of_run(source.run), *asked, default=agreed or _default_of(source.run)
+    )
+
+
+def _default_of(run: Run | None) -> DecisionRule:
+    """Return the rule that held where nobody stated one when a run was begun; today's for what is no run."""
+    if run is None:
+        return NOBODY_STATED_ONE
+    recorded = run.manifest.get("default_rule")
+    return DecisionRule.of(SIMPLE) if recorded is None else DecisionRule.of_json(recorded)
 
 
 @dataclass(frozen=True)
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are on the coefficients taken, `said` is on their uncertainty.
+    `warnings` are on the coefficients taken, `said` is on their uncertainty, `fit` is that of coefficients of the
+    same readings.
     """
 
     source: Source
     verification: Verification
     warnings: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
+    fit: LackOfFit | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it passed, by coefficients of these readings that are accepted, or by those of another day."""
+        return self.passed and (self.fit is None or self.fit.accepted())
 
     @property
     def passed(self) -> bool:
@@ -169,6 +192,11 @@ class VerificationResult:
         return (*advice(self.verification), *global_risk_in_words(self.verification))
 
     @property
+    def _against(self) -> tuple[str, ...]:
+        """What speaks against coefficients that were found of the same readings."""
+        return () if self.fit is None else self.fit.diagnose(self.source.name)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the result should know, a sentence each."""
         return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
@@ -177,7 +205,7 @@ class VerificationResult:
         """Return the result as `bench verify --json` writes it."""
         return {
             **self.verification.to_json(),
-            "notes": list(self.sentences),
+            "notes": [*self.sentences, *self._against],
             "bench": self.source.taken.to_dict(),
             "corrections": self.source.traced.to_json(),
         }
@@ -199,8 +227,8 @@ class VerificationResult:
         return shown
 
     def verdict(self) -> str:
-        """Return the verdict in one line."""
-        return verdict_line(self.source.name, self.verification)
+        """Return the verdict in one line, and why it is not accepted where the coefficients are not."""
+        return "; ".join((verdict_line(self.source.name, self.verification), *self._against))
 
     def __repr__(self) -> str:
         """Return the points and the verdict."""
@@ -236,9 +264,13 @@ def verification_of(
     source: Source,
     coefficients: Path | CalibrationResult | None = None,
     asked: Asked = NOTHING_ASKED,
+    agreed: DecisionRule | None = None,
 ) -> VerificationResult:
-    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings."""
-    judgement = own_judgement(source, asked)
+    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
+
+    By the rule `agreed` where neither the source nor who asks states one.
+    """
+    judgement = own_judgement(source, asked, agreed=agreed)
     warnings: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
     if coefficients is None:
@@ -254,12 +286,13 @@ def verification_of(
         if taken.simulated and not source.simulated:
             warnings = (f"the coefficients in {coefficients} were found on simulated instruments",)
     if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
-        joint = delta_g_covariance(
+        joint = delta_g_contributions(
             coefficients.calibration, source.readings, source.bench, source.model, source.traced.day,
             source.known_meters,
         )  # fmt: skip
     else:
-        joint, said = _of_another_day(taken, source)
+        covariance, said = _of_another_day(taken, source)
+        joint = {"coefficients and readings": covariance}
     verdict = check(
         source.readings,
         taken.block,
@@ -271,7 +304,10 @@ def verification_of(
         joint=joint,
         population=judgement.population,
     )
-    return VerificationResult(source, verdict, warnings, said)
+    fit = None
+    if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
+        fit = coefficients.calibration.lack_of_fit
+    return VerificationResult(source, verdict, warnings, said, fit)
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:

@@ -8,11 +8,18 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 from bench.analysis.calibration import Verification
+from bench.analysis.calibration.conformity import (
+    FALSE_ACCEPTANCE,
+    GUARDED,
+    NON_BINARY,
+    SIMPLE,
+    DecisionRule,
+)
 from bench.api.calibration import CalibrationResult
 from bench.api.verification import VerificationResult
 from bench.base.arrays import Floats, u_of
@@ -23,6 +30,9 @@ from bench.devices.certificates import Certificate as Held
 
 FORMULA: Final = "U = K a + U0, a = N (U - U0), N = K^-1, delta_g = |a| - 1"
 """The model as text: U (3) the signals, a (3) the specific force in local g, +1 on an axis that points up."""
+
+Said = TypeVar("Said")
+_RULES: Final = {SIMPLE: "rule_simple", GUARDED: "rule_guarded", NON_BINARY: "rule_non_binary"}
 
 
 @dataclass(frozen=True)
@@ -292,6 +302,13 @@ def uncertified(found: Found) -> tuple[str, ...]:
         for one in found.instruments
         if one.role in {"voltmeter", "head"} and (one.certificate is None or one.foreign)
     )
+
+
+def rule_said(say: Callable[..., Said], rule: DecisionRule) -> Said:
+    """Return a decision rule in the words of a language; `say` has them."""
+    if rule.guard_band is None:
+        return say("rule_unstated", times=f"{100 * FALSE_ACCEPTANCE:g}")
+    return say(_RULES[rule.name], times=f"{rule.guard_band:g}")
 
 
 def day_of(time: str) -> datetime.date | None:

@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from bench.analysis.budget.sources import hidden_sources
+from bench.analysis.calibration.conformity import DecisionRule
 from bench.analysis.calibration.derived import INVERSE, MISALIGNMENTS
 from bench.api.calibration import CalibrationResult, calibration_of, coefficient_unit
 from bench.api.errors import Refused
 from bench.api.origin import origin_beside
 from bench.api.provenance import record_head
 from bench.api.source import Request, Source, load_sources
-from bench.api.verification import VerificationResult, verification_of
+from bench.api.verification import NOTHING_ASKED, Asked, VerificationResult, verification_of
 from bench.base.arrays import u_of
 from bench.base.visible import visible
 from bench.base.whole import to_text
@@ -61,18 +63,26 @@ def certificate_of(
     `CalibrationError` where there is no result.
     """
     k = 2.0 if laboratory is None else laboratory.k
-    found = found_by(run, runs, k)
+    asked = NOTHING_ASKED if order is None else Asked(rule=order.rule, guard_band=order.guard_band)
+    found_of = partial(found_by, runs=runs, k=k, asked=asked, agreed=_house_rule(laboratory))
+    found = found_of(run)
     unit = None if order is None else order.unit(found.item.serial)
     adjusted = None if unit is None else unit.adjusted
     before = None
     if adjusted is not None and adjusted.as_found is not None:
-        before = found_by(adjusted.as_found, runs, k)
+        before = found_of(adjusted.as_found)
         if before.item != found.item:
             raise Refused(
                 f"{run}: the run as found, {adjusted.as_found}, is of unit {before.item.type} "
                 f"{before.item.serial}; name that of this unit under adjusted"
             )
     return Certificate(found, texts_for(laboratory), laboratory, order, unit, before, issue)
+
+
+def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
+    if laboratory is None or not laboratory.names_a_rule:
+        return None
+    return DecisionRule.of(laboratory.rule, laboratory.guard_band)
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
@@ -119,8 +129,13 @@ def _missing(certificate: Certificate) -> Iterator[str]:
         yield f"a day of issue (7.8.2.1 j) after the calibration: {certificate.issue.day} is before {ended}"
 
 
-def found_by(name: str, runs: Path, k: float) -> Found:
-    """Evaluate a run with its own bench file; U of the coefficients is `k` u. Raises as `certificate_of`."""
+def found_by(
+    name: str, runs: Path, k: float, asked: Asked = NOTHING_ASKED, agreed: DecisionRule | None = None
+) -> Found:
+    """Evaluate a run with its own bench file; U of the coefficients is `k` u. Raises as `certificate_of`.
+
+    The verdict is found as `asked`, by the rule `agreed` where the record states none.
+    """
     (source,) = load_sources(Request([name], runs))
     run = source.run
     if run is None:
@@ -130,7 +145,9 @@ def found_by(name: str, runs: Path, k: float) -> Found:
     if not run.imported and run.history.state not in ENDED:
         raise Refused(f"{name}: the run is {run.history.state}; a certificate is of a run that has ended")
     result = calibration_of(source)
-    verdict = verification_of(result.source, result) if len(source.readings.verification()) else None
+    verdict = None
+    if len(source.readings.verification()):
+        verdict = verification_of(result.source, result, asked, agreed)
     record, begun = _record(run), _begun(source)
     return Found(
         record=record,

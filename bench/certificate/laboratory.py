@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 from bench.base.form_mistakes import Place, unknown_word
 from bench.base.forms import Document, FileModel, load_document, part, validated
 from bench.certificate.texts import LANGUAGES, texts_of
+from bench.files.bench.stand import StatedRule
 
 SIMULATED_SERIES: Final = "SIM-"
 """What the numbers of simulated runs begin with, and those of no others."""
@@ -80,11 +81,12 @@ def _language(written: object) -> object:
 Language = Annotated[str, BeforeValidator(_language)]
 
 
-class Laboratory(Contact):
+class Laboratory(Contact, StatedRule):
     """A laboratory file, validated; paths are as they were written, relative to the file.
 
-    `numbers` is the scheme of certificate numbers, `k` the coverage factor of U of the coefficients, `texts` are
-    its own words by language and key in place of the program's.
+    `rule` and `guard_band` are its decision rule where neither order nor record states one, `numbers` is the scheme
+    of certificate numbers, `k` the coverage factor of U of the coefficients, `texts` are its own words by language
+    and key in place of the program's.
     """
 
     accreditation: Accreditation | None = None

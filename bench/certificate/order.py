@@ -12,6 +12,7 @@ from bench.base.form_mistakes import Place
 from bench.base.forms import FileModel, load_validated, part
 from bench.certificate.laboratory import Contact
 from bench.devices.certificates import Day
+from bench.files.bench.stand import StatedRule
 
 AS_FOUND, AS_LEFT = "as found", "as left"
 
@@ -49,11 +50,12 @@ class UnitOrder(FileModel):
         return self
 
 
-class Order(FileModel):
+class Order(StatedRule):
     """An order file, validated. `place` is where it was calibrated, where that was not the laboratory's.
 
-    `agreed` is what was agreed with the customer, such as limit and decision rule; `without_certificates` why the
-    customer takes results of instruments that have none.
+    `rule` and `guard_band` are the decision rule that was agreed with the customer, before what the record states
+    (ISO/IEC 17025:2017, 7.1.3), `agreed` what else was; `without_certificates` why the customer takes results of
+    instruments that have none.
     """
 
     customer: Contact

@@ -22,6 +22,7 @@ from bench.cli.options import (
     RunsOption,
     SkipOption,
     Sources,
+    StrictFitOption,
     WithEstimators,
     app,
 )
@@ -49,10 +50,10 @@ def calibrate(
     json: JsonOption = None,
     out: OutOption = None,
     skip_bad_rows: SkipOption = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Lack of fit (p < 0.01) is not accepted.")] = False,
+    strict: StrictFitOption = False,
     runs: RunsOption = RUNS,
 ) -> int:
-    """Coefficients with uncertainty from runs or readings files."""
+    """Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit."""
     from bench.analysis.calibration.estimators import GLS, find_estimator
     from bench.api.calibration import calibration_of
     from bench.api.source import Request, load_sources
@@ -81,4 +82,5 @@ def calibrate(
         else:
             printing.calibration(result, file)
     printing.write_json([result.to_dict() for result in results], json)
-    return 1 if strict and not all(result.accepted for result in results) else 0
+    accepted = [result.strictly_accepted if strict else result.accepted for result in results]
+    return 0 if all(accepted) else 1

@@ -20,6 +20,7 @@ from bench.cli.options import (
     RunsOption,
     SkipOption,
     Sources,
+    StrictFitOption,
     app,
 )
 
@@ -52,9 +53,7 @@ def compensate(
     json: JsonOption = None,
     out: OutOption = None,
     skip_bad_rows: SkipOption = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Polynomials that do not fit (p < 0.01) are not accepted.")
-    ] = False,
+    strict: StrictFitOption = False,
     runs: RunsOption = RUNS,
 ) -> int:
     """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
@@ -101,13 +100,9 @@ def compensate(
         printing.written(what, file, on)
     printing.write_json([result], json)
     passed = all(check.passed for _, check in checks)
-    return 0 if passed and (_fits(model) or not strict) else 1
-
-
-def _fits(model: TemperatureModel) -> bool:
-    """Whether neither the fit nor the curve over temperature is contradicted by the readings."""
-    tests = [model.fitted] + ([model.curve] if model.curve else [])
-    return not any(test.shown for test in tests)
+    printing.notes_on(on, model.fitted.diagnose(" ".join(names)))
+    tests = [model.fitted, *([model.curve] if model.curve else [])]
+    return 0 if passed and all(test.accepted(strict=strict) for test in tests) else 1
 
 
 def _degree(text: str) -> int | None:

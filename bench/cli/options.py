@@ -212,19 +212,25 @@ JoinVerificationOption = Annotated[
     bool,
     typer.Option("--join-verification", help="So do verification points; they check nothing then."),
 ]
+StrictFitOption = Annotated[
+    bool,
+    typer.Option("--strict", help="A lack of fit of p < 0.01 is not accepted, either (without it: 1e-4)."),
+]
 RuleOption = Annotated[
     str | None,
     typer.Option(
         "--rule",
         metavar="RULE",
         help="simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
-        "statements (default: the bench file's, or simple).",
+        "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
     ),
 ]
 GuardBandOption = Annotated[
     float | None,
     typer.Option(
-        "--guard-band", metavar="R", help="Guard band of the rule: w = R U (default: the bench file's, or 1)."
+        "--guard-band",
+        metavar="R",
+        help="Guard band of the rule: w = R U (default: the bench file's, or that of the rule).",
     ),
 ]
 PopulationOption = Annotated[
@@ -232,7 +238,7 @@ PopulationOption = Annotated[
     typer.Option(
         "--population",
         metavar="MEAN SD",
-        help="Mean and standard deviation of Δg over many blocks, g: for the global risk.",
+        help="Mean and standard deviation of Δg over many blocks, g: they enter the risks.",
     ),
 ]
 LimitOption = Annotated[float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")]

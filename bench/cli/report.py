@@ -66,4 +66,4 @@ def report(
     bench_taken = loaded.taken.to_dict()
     written = {"report": str(page), "bench": bench_taken, "verification": verdict and verdict.to_dict()}
     printing.write_json([written], json)
-    return 0 if verdict is None or verdict.passed else 1
+    return 0 if result.accepted and (verdict is None or verdict.passed) else 1

@@ -205,7 +205,7 @@ def make_results(run: Run, target: str | None, interrupts: Interrupts) -> int:
 
 
 def conclude(run: Run, target: str | None = None) -> int:
-    """Calibrate, verify and report a finished run; 1 when the verification failed, or a check is out of control.
+    """Calibrate, verify and report a finished run; 1 where one of them or a check is not accepted.
 
     `target` is where the whole result goes as JSON: null stands for a calibration or verdict that is not.
 
@@ -269,4 +269,4 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
             f"NOT REACHED: {', '.join(run.manifest.get('until', ()))}; the procedure has no more that would help"
         )
     printing.write_json([drawn], target)
-    return 0 if not short and (verdict is None or verdict.passed) else 1
+    return 0 if not short and result.accepted and (verdict is None or verdict.passed) else 1

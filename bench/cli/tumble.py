@@ -17,6 +17,7 @@ from bench.cli.options import (
     RunsOption,
     SkipOption,
     Sources,
+    StrictFitOption,
     app,
 )
 
@@ -44,7 +45,7 @@ def tumble(
     json: JsonOption = None,
     out: OutOption = None,
     skip_bad_rows: SkipOption = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Lack of fit (p < 0.01) is not accepted.")] = False,
+    strict: StrictFitOption = False,
     runs: RunsOption = RUNS,
 ) -> int:
     """Each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
@@ -67,10 +68,15 @@ def tumble(
             "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
             "simulated": source.simulated,
             "corrections": source.traced.to_json(),
-            "notes": [*view.notes, *source.readings.notes, *source.readings.skipped],
+            "notes": [
+                *view.lack_of_fit.diagnose(source.name),
+                *view.notes,
+                *source.readings.notes,
+                *source.readings.skipped,
+            ],
         }
         results.append(result)
-        fits = fits and not view.lack_of_fit.shown
+        fits = fits and view.lack_of_fit.accepted(strict=strict)
         file = printing.write_result(source, "tumble", result, what_if=source.what_if)
         on = printing.console(json=json)
         _print(view, source.name, on)
@@ -78,7 +84,7 @@ def tumble(
         if file is not None:
             printing.written("result", file, on)
     printing.write_json(results, json)
-    return 1 if strict and not fits else 0
+    return 0 if fits else 1
 
 
 def _print(view: TumbleView, name: str, on: Console) -> None:

@@ -44,7 +44,7 @@ def verify(
     skip_bad_rows: SkipOption = False,
     runs: RunsOption = RUNS,
 ) -> int:
-    """Δg at the verification points against the limit; exit status 1 unless the rule accepts all."""
+    """Δg at the verification points against the limit; exit status 1 unless all are accepted."""
     from bench.api.source import Request, load_sources
     from bench.api.verification import Asked, verification_of
 
@@ -65,4 +65,4 @@ def verify(
         else:
             printing.verification(result, file)
     printing.write_json([result.to_dict() for result in results], json)
-    return 0 if all(result.passed for result in results) else 1
+    return 0 if all(result.accepted for result in results) else 1

@@ -27,6 +27,17 @@ class VerdictAsked(TypedDict, total=False):
     guard_band: float
 
 
+class DefaultRule(TypedDict):
+    """The decision rule of a run for which nobody states one, with the probability that sets its guard band."""
+
+    rule: str
+    false_acceptance: float
+
+
+DEFAULT_RULE: Final[DefaultRule] = {"rule": "non-binary", "false_acceptance": 0.05}
+"""The default as each record keeps it: one that has none was begun when simple acceptance was the default."""
+
+
 class CheckedBefore(TypedDict, total=False):
     """What the check block said as the run began: `run` of the check block, how old, what the `rule` is.
 
@@ -49,8 +60,8 @@ class Manifest(TypedDict, total=False):
     `readings` that has, and nothing of a procedure. `living` is a dry run whose questions a person answers.
     `bench_why` says why that bench file was taken. `devices` says
     where those drivers came from that are none of the bench's own, `verdict` how it is judged in place of the bench
-    file's, `until` the goals at which it ends, `check_block` what that said; all are left out where there is
-    nothing.
+    file's, `default_rule` how where neither says it, `until` the goals at which it ends, `check_block` what that
+    said; all are left out where there is nothing.
     """
 
     format: int
@@ -69,6 +80,7 @@ class Manifest(TypedDict, total=False):
     unit_under_test: UnitUnderTest
     versions: dict[str, str]
     devices: dict[str, str]
+    default_rule: DefaultRule
     verdict: VerdictAsked
     until: list[str]
     check_block: CheckedBefore

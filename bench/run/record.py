@@ -24,7 +24,7 @@ from typing import Any, Final
 from bench.base.visible import in_json
 from bench.run.events import Event, EventType
 from bench.run.history import History, read_history
-from bench.run.manifest import EVENTS, FORMAT, MANIFEST, Manifest, RecordError, sha256
+from bench.run.manifest import DEFAULT_RULE, EVENTS, FORMAT, MANIFEST, Manifest, RecordError, sha256
 from bench.run.states import RunState, state_after_one
 
 WITH_THE_NEXT: Final = frozenset(
@@ -75,6 +75,7 @@ class Record:
         """
         manifest = {
             "format": FORMAT,
+            "default_rule": DEFAULT_RULE,
             **manifest,
             "files": {name: sha256(content) for name, content in inputs.items()},
         }

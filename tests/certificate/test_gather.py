@@ -1,16 +1,21 @@
 """What a certificate says is what the analyses say; what it lacks is told."""
 
+import json
 import shutil
+from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bench.analysis.calibration.conformity import DecisionRule
 from bench.api.errors import Refused
-from bench.certificate.content import Issue
+from bench.certificate.content import Issue, rule_said
 from bench.certificate.gather import certificate_of, missing
 from bench.certificate.laboratory import Person, load_laboratory
 from bench.certificate.order import Adjusted, load_order
+from bench.certificate.verify.record import held_against_record
 from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
 
 
@@ -45,6 +50,33 @@ def test_it_says_what_calibrate_and_verify_say(certificate):
     )
     assert found.verification.passed == found.verdict.passed
     assert found.verification.p_outside == found.verdict.verification.p_outside
+
+
+@pytest.mark.parametrize(
+    ("of_house", "of_order", "rule"),
+    [
+        ({}, {}, DecisionRule.of("simple")),  # the record is older than the default
+        ({"rule": "guarded"}, {}, DecisionRule.of("guarded")),
+        ({"rule": "guarded"}, {"rule": "non-binary", "guard_band": 0.5}, DecisionRule.of("non-binary", 0.5)),
+    ],
+)
+def test_the_rule_that_was_agreed_stands_before_the_default(folder, tmp_path, of_house, of_order, rule):
+    laboratory, order = write_files(tmp_path, of_house, ORDER | of_order)
+    made = certificate_of("finished", folder / "runs", load_laboratory(laboratory), load_order(order))
+    assert made.found.verification.decision == rule
+    told = json.loads(made.found.result_json)["verification"]
+    assert DecisionRule.of_json(told) == rule
+    # and so it is held against the record
+    attached = {one.name: one.content for one in made.attachments}
+    k = SimpleNamespace(k=made.k)
+    shown = SimpleNamespace(files=attached, coefficients=(k,), release=version("triaxial-bench"))
+    assert "to the last digit" in held_against_record(shown, folder / "runs").told
+    words = rule_said(made.texts[0].say, rule)
+    assert f"w = {rule.guard_band:g} U" in words or rule.name == "simple acceptance"
+
+
+def test_a_rule_that_nobody_stated_is_written_out(certificate):
+    assert "at most 5 % at every verification point" in rule_said(certificate.texts[0].say, DecisionRule())
 
 
 def test_it_says_where_the_numbers_come_from(certificate):

@@ -179,10 +179,10 @@ def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
         'model_file: "1"\nname: with-k2\neffects:\n'
         "  - {name: quadratic_nonlinearity, channels: [y], parameters: {K2: 500 ug/g^2}}\n"
     )
-    assert bench("run", "paper", "--dry-run", "--model", "k2.yaml", "--name", "k2")[0] in {0, 1}
+    assert bench("run", "paper", "--dry-run", "--model", "k2.yaml", "--name", "k2")[0] == 1
     without = json.loads(bench("calibrate", "k2", "--json", "-")[1])
-    assert without["residual"]["p"] < 0.01
-    assert bench("calibrate", "k2", "--strict")[0] == 1
+    assert without["residual"]["p"] < 1e-4
+    assert bench("calibrate", "k2")[0] == 1
     with_it = json.loads(bench("calibrate", "k2", "--model", "k2.yaml", "--json", "-")[1])
     assert with_it["residual"]["p"] > 0.01
     assert with_it["model"] == "with-k2"

@@ -62,7 +62,10 @@ def test_json_adds_up(bench):
     without_g = total - np.array(told["sources"]["gravity"]["covariance"])
     np.testing.assert_allclose(told["per_local_g"]["u"], np.sqrt(np.diag(without_g)), rtol=1e-6)
     assert [row["magnitude_g"] for row in told["acceleration"]["magnitudes"]] == [1, 2, 5, 10]
-    assert told["verification"]["capable"] is True
+    check = told["verification"]
+    assert (check["rule"], check["false_acceptance"], check["capable"]) == ("non-binary", 0.05, False)
+    for point in check["points"]:
+        assert point["accepted_up_to"] == pytest.approx(3e-4 - 1.64485 * point["u"], rel=0.01)
     assert len(told["verification"]["points"]) == 4
     assert told["monte_carlo"]["trials"] == 2500
     assert len(told["monte_carlo"]["outputs"]) == 16
@@ -76,7 +79,7 @@ def test_printed_for_a_person(bench):
         "combined u",
         "U (k = 2.00, 95.45 %)",
         "10 g",
-        "simple acceptance",
+        "rule: non-binary (false acceptance ≤ 5 %): CANNOT BE PASSED with 95.45 %",
         "clause 8",
     ):
         assert told in out
@@ -86,7 +89,7 @@ def test_printed_for_a_person(bench):
 
 @pytest.mark.slow
 def test_a_page_with_figures(bench):
-    code, _, _ = bench("budget", "--trials", 2500, "--out", "page")
+    code, _, _ = bench("budget", "--trials", 2500, "--out", "page", "--rule", "simple")
     assert code == 0
     page = Path("page/budget.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
@@ -222,7 +225,7 @@ def check_readings(offset_v=0.0):
 def test_the_guard_band_is_two_u():
     """A point inside the limit fails when |delta g| + 2u is outside; the same point passes simply."""
     readings, block, limit = check_readings(1e-4), Block(K, U0), 1e-4
-    simple = verify(readings, block, np.zeros((12, 12)), 1e-4, limit)
+    simple = verify(readings, block, np.zeros((12, 12)), 1e-4, limit, rule="simple")
     guarded = verify(readings, block, np.zeros((12, 12)), 1e-4, limit, rule="guarded")
     assert [p.passed for p in simple.points] == [True] * 4
     for point in guarded.points:
@@ -247,6 +250,9 @@ def test_verify_takes_the_rule(bench):
     assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
     arguments = ("verify", "check.csv", "--coefficients", "unit.json", "--limit", "2e-4", "--json", "-")
     status, out, _ = bench(*arguments)
+    told = json.loads(out)
+    assert (status, told["rule"], told["statement"]) == (1, "non-binary", "conditional pass")
+    status, out, _ = bench(*arguments, "--rule", "simple")
     assert (status, json.loads(out)["rule"]) == (0, "simple acceptance")
     status, out, _ = bench(*arguments, "--rule", "guarded")
     told = json.loads(out)

@@ -70,15 +70,70 @@ def test_all_that_is_wrong_with_a_question_is_told_at_once(bench, unit):
     assert status == 2
     for problem in ("--limit -1.0", "a guard band of -2 U", "the second positive"):
         assert problem in err
-    status, _, err = bench(*unit, "--guard-band", "0.5")
+    status, _, err = bench(*unit, "--rule", "simple", "--guard-band", "0.5")
     assert (status, "simple acceptance takes no guard band" in err) == (2, True)
+
+
+def test_a_rule_that_nobody_states_accepts_five_per_cent_of_false_acceptance(bench, unit):
+    """Pass, conditional and fail as the limit nears; simple acceptance is there for who says so."""
+    status, result = told(bench, *unit)
+    assert (status, result["rule"], result["false_acceptance"]) == (0, "non-binary", 0.05)
+    worst = max(result["points"], key=lambda p: abs(p["delta_g"]))
+    at = abs(worst["delta_g"]) + 1.6449 * worst["u"]
+    for limit, expected in ((1.001 * at, (0, "pass")), (0.99 * at, (1, "conditional pass"))):
+        status, result = told(bench, *unit, "--limit", str(limit))
+        assert (status, result["statement"]) == expected
+        assert result["passed"] is (status == 0)
+    assert any(note.startswith("to pass: u(Δg) up to") for note in result["notes"])
+    assert any(f"or a limit from {int(np.ceil(1e6 * at))} µg" in note for note in result["notes"])
+    status, result = told(bench, *unit, "--limit", str(0.99 * at), "--rule", "simple")
+    assert (status, result["false_acceptance"], result["guard_band"]) == (0, None, 1.0)
+    status, result = told(bench, *unit, "--limit", str(0.99 * at), "--guard-band", "0.5")
+    assert (status, result["rule"], result["guard_band"]) == (0, "non-binary", 0.5)
+    # who names the rule, and no guard band, gets the one that it has always had
+    assert told(bench, *unit, "--rule", "non-binary")[1]["guard_band"] == 1.0
+
+
+def test_readings_that_contradict_the_model_are_not_accepted(bench, unit):
+    """Two channels exchanged in one installation: status 1 everywhere, and on to the diagnosis that names it."""
+    swapped = simulate(np.random.default_rng(2), 1e-4)
+    first = swapped.installation == "1"
+    swapped.signal[first] = swapped.signal[first][:, [1, 0, 2]]
+    write_csv(swapped, Path("swapped.csv"))
+    status, out, _ = bench("calibrate", "swapped.csv")
+    assert status == 1
+    assert (
+        "note: not accepted: the readings contradict the model (p < 0.0001); 'bench diagnose swapped.csv'"
+        in out
+    )
+    assert "robust" not in out
+    assert bench("calibrate", "unit.csv", "swapped.csv", "--json", "both.json")[0] == 1
+    assert bench("report", "swapped.csv")[0] == 1
+    status, out, _ = bench("diagnose", "swapped.csv", "--no-report", "--json", "-")
+    assert json.loads(out)["effects"][0]["name"] == "swapped_channels"
+
+
+def test_a_verdict_rests_on_coefficients_that_are_accepted(bench, unit):
+    """The points pass by a wide limit, but the coefficients of the same readings are not accepted."""
+    curved = simulate(np.random.default_rng(2), 1e-4)
+    curved.signal[:, 1] += 2e-3 * (curved.signal[:, 1] / K[1, 1]) ** 2
+    write_csv(curved, Path("curved.csv"))
+    points = Path("check.csv").read_text().splitlines()
+    rows = Path("curved.csv").read_text().splitlines()
+    assert points[0] == rows[0]
+    Path("curved.csv").write_text("\n".join([*rows, *points[1:]]))
+    status, result = told(bench, "verify", "curved.csv", "--limit", "0.01", "--json", "-")
+    assert (status, result["passed"]) == (1, True)
+    assert any("bench diagnose curved.csv" in note for note in result["notes"])
+    # by coefficients of another day it is the points alone that count
+    assert told(bench, "verify", "curved.csv", "--limit", "0.01", *unit[2:])[0] == 0
 
 
 @pytest.mark.parametrize(
     ("written", "problem"),
     [
         ("rule: lenient", "rule"),
-        ("guard_band: 0.5", "simple acceptance takes no guard band"),
+        ("rule: simple acceptance\n  guard_band: 0.5", "simple acceptance takes no guard band"),
         ("rule: guarded\n  guard_band: 0", "guard_band"),
         ("population: {standard_deviation: 0 g}", "state a standard deviation above zero"),
     ],
@@ -145,7 +200,7 @@ def test_a_run_is_judged_as_it_was_begun(bench, without_figures):
 
 
 def test_a_run_with_a_rule_that_is_none_is_not_begun(bench):
-    for options in (("--rule", "kind"), ("--guard-band", "0.5"), ("--limit", "0")):
+    for options in (("--rule", "kind"), ("--rule", "simple", "--guard-band", "0.5"), ("--limit", "0")):
         assert bench("run", "quick", "--dry-run", "--name", "one", *options)[0] == 2
         assert not Path("runs/one").exists()
 

@@ -54,13 +54,14 @@ def undrawn(monkeypatch):
     monkeypatch.setattr(plots, "compared_coefficients", lambda *what: "<svg></svg>")
 
 
-def verification_of(calibration, delta_g=0.0, missing=0, limit=3e-4):
+def verification_of(calibration, delta_g=0.0, missing=0, limit=3e-4, rule=None):
     angle = np.radians([45.0, 135.0, 225.0, 315.0])
     turned = np.stack([np.sin(angle) / np.sqrt(2), -np.sin(angle) / np.sqrt(2), np.cos(angle)], axis=1)
     signal = calibration.block.output(turned * (1 + delta_g))
     rows = make_readings(["V"] * 4, [1] * 4, [1, 2, 3, 4], angle, signal)
     rows = replace(rows, verification_missing=missing)
-    return verify(rows, calibration.block, calibration.covariance, calibration.noise.reading, limit)
+    known = calibration.block, calibration.covariance, calibration.noise.reading
+    return verify(rows, *known, limit, rule=rule)
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -88,11 +89,16 @@ def test_the_verdict_is_said_first_and_in_words(calibration):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
-    result = verification_of(calibration, 2.8e-4)
+    result = verification_of(calibration, 2.8e-4, rule="simple")
     page = Text(render_report(ReportContent("T", calibration, result))).text
     assert "✓ Verification: conditional pass, accepted" in page
     assert f"Probability of false acceptance {result.p_outside:.2g}" in page
     assert "4 of 4 verification points within the limit by less than the guard band" in page
+    unstated = verification_of(calibration, 2.8e-4)
+    page = Text(render_report(ReportContent("T", calibration, unstated))).text
+    assert "– Verification: conditional pass, for the customer to accept" in page
+    assert "non-binary (false acceptance ≤ 5 %)" in page
+    assert "u(Δg) up to" in page
     nothing = verification_of(calibration, 1e-5, limit=5e-5)
     page = Text(render_report(ReportContent("T", calibration, nothing))).text
     assert "– Verification inconclusive" in page

@@ -16,7 +16,7 @@ from scipy import special
 from bench.analysis.budget.coefficients import Budget, Contribution, parts_of
 from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.propagation import coverage_factor, effective_dof
-from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
+from bench.analysis.calibration.conformity import SIMPLE, DecisionRule, Known, Population
 from bench.analysis.calibration.design import coefficient_columns
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.calibration.verification import modulus_slopes
@@ -227,7 +227,12 @@ class DeltaG:
 
 
 def delta_g(
-    budget: Budget, limit_g: float, rule: str | DecisionRule = SIMPLE, *, reading: bool = True
+    budget: Budget,
+    limit_g: float,
+    rule: str | DecisionRule = SIMPLE,
+    *,
+    reading: bool = True,
+    population: Population | None = None,
 ) -> tuple[DeltaG, ...]:
     """Return the uncertainty of delta g at each verification point of the setup, and the decision that it allows.
 
@@ -249,9 +254,9 @@ def delta_g(
         effective_dof(variances, [c.source.dof for c in budget.contributions]),
     )
     expanded = coverage_factor(dof, budget.probability) * u
+    limits = decision.acceptance_limit(limit_g, Known(u, expanded, dof, population)).tolist()
     found = []
     for i, row in enumerate(rows):
-        limit = decision.acceptance_limit(limit_g, float(expanded[i]))
         found.append(
             DeltaG(
                 angle_deg=float(np.degrees(setup.conditions.angle_rad[row])),
@@ -260,8 +265,8 @@ def delta_g(
                 dof=float(dof[i]),
                 U=float(expanded[i]),
                 by_source=_named(budget.contributions, np.sqrt(variances[i])),
-                accepted_up_to=limit,
-                passes=_within(limit, float(u[i])),
+                accepted_up_to=limits[i],
+                passes=_within(limits[i], float(u[i])),
             )
         )
     return tuple(found)

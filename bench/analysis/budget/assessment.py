@@ -13,7 +13,7 @@ from bench.analysis.budget.coefficients import Budget, make_budget
 from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.exact import ExactResult, exact_monte_carlo
 from bench.analysis.budget.setup import Setup
-from bench.analysis.calibration.conformity import DecisionRule
+from bench.analysis.calibration.conformity import DecisionRule, Population
 from bench.analysis.calibration.known import KnownStand
 
 DOMINATES: Final = 0.5
@@ -24,13 +24,17 @@ NAMED: Final = 0.01
 
 @dataclass(frozen=True)
 class Question:
-    """What a budget is asked for: measuring range and limit of delta g (g), decision rule, trials, voltmeters."""
+    """What a budget is asked for: measuring range and limit of delta g (g), decision rule, trials, voltmeters.
+
+    `population` is what is known of delta g over many blocks.
+    """
 
     range_g: float
     limit_g: float
     rule: DecisionRule
     trials: int = 0
     same_voltmeters: bool = False
+    population: Population | None = None
 
 
 @dataclass(frozen=True)
@@ -105,8 +109,7 @@ class Assessment:
             },
             "verification": {
                 "limit_g": question.limit_g,
-                "rule": question.rule.name,
-                "guard_band": question.rule.guard_band,
+                **question.rule.to_json(),
                 "capable": self.capable,
                 "points": [point.to_json() for point in self.points],
             },
@@ -131,6 +134,6 @@ def assess(
         over_directions(budget, size, same_voltmeters=question.same_voltmeters)
         for size in magnitudes(question.range_g)
     )
-    points = delta_g(budget, question.limit_g, question.rule)
+    points = delta_g(budget, question.limit_g, question.rule, population=question.population)
     exact = exact_monte_carlo(budget, question.trials) if question.trials else None
     return Assessment(budget, question, accelerations, points, exact)

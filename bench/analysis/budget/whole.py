@@ -183,6 +183,57 @@ def delta_g_elsewhere(
     return np.asarray(whole)
 
 
+def delta_g_contributions(
+    calibration: Calibration,
+    readings: Readings,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None = None,
+    meters: KnownMeters | None = None,
+) -> dict[str, Floats]:
+    """Return what makes up the covariance (v, v) of |a| at the verification rows of the table of `calibration`.
+
+    By name, in local g; their sum is the covariance. An error that acts on calibration and check alike, as the gain
+    of a meter, acts here by what is left of both: it cancels. The noise of the readings at the points is among it.
+    """
+    rows = np.flatnonzero(readings.installation == VERIFICATION)
+    taken = _taken(calibration, readings, bench)
+    by_coefficient, by_signal = modulus_slopes(taken.force[rows], calibration.block)
+    functionals = np.einsum("vp,pni->vni", by_coefficient, calibration.gain)
+    functionals[np.arange(len(rows)), rows] += by_signal
+    noise = np.diag(np.sum((by_signal * calibration.noise.widened().by_channel) ** 2, axis=1))
+    found = {
+        "noise_and_stand": by_coefficient @ calibration.covariance_readings @ by_coefficient.T,
+        **{
+            s.name: by_coefficient @ s.covariance @ by_coefficient.T
+            for s in calibration.sources
+            if s.name == "mounting_roll"
+        },
+        "reading_at_the_point": noise,
+    }
+    if calibration.drift is not None:
+        # U0 is the mean of the run; by the time of the check the biases have gone on
+        time_s = readings.conditions().elapsed_s
+        used = np.any(calibration.gain != 0.0, axis=(0, 2))
+        gone = walk_since(time_s[used], time_s[rows])
+        for c, size in enumerate(calibration.drift.size.tolist()):
+            drifted = size**2 * gone * np.outer(by_signal[:, c], by_signal[:, c])
+            found["drift"] = found.get("drift", 0.0) + drifted
+    if readings.unit != VOLTS:
+        return found
+    for error in _acting(calibration, bench, model, day, meters):
+        if error.name != GRAVITY:
+            parts = parts_of(error, taken, functionals)
+            found[error.name] = parts @ parts.T
+    moving = _foundation(readings, bench)
+    if moving is not None:
+        parts = moving.parts(
+            taken.conditions, taken.block, taken.setting_slope, model.installations, functionals
+        )
+        found[NAME] = parts @ parts.T
+    return found
+
+
 def delta_g_covariance(
     calibration: Calibration,
     readings: Readings,
@@ -191,41 +242,8 @@ def delta_g_covariance(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> Floats:
-    """Return the covariance (v, v) of |a| at the verification rows of the table that `calibration` was made from.
-
-    In local g. An error that acts on calibration and check alike, as the gain of a meter, acts here by what is left
-    of both: it cancels. The noise of the readings at the points is among it.
-    """
-    rows = np.flatnonzero(readings.installation == VERIFICATION)
-    taken = _taken(calibration, readings, bench)
-    by_coefficient, by_signal = modulus_slopes(taken.force[rows], calibration.block)
-    functionals = np.einsum("vp,pni->vni", by_coefficient, calibration.gain)
-    functionals[np.arange(len(rows)), rows] += by_signal
-    fitted = calibration.covariance_readings + sum(
-        (s.covariance for s in calibration.sources if s.name == "mounting_roll"), np.zeros((12, 12))
-    )
-    whole = by_coefficient @ fitted @ by_coefficient.T
-    whole += np.diag(np.sum((by_signal * calibration.noise.widened().by_channel) ** 2, axis=1))
-    if calibration.drift is not None:
-        # U0 is the mean of the run; by the time of the check the biases have gone on
-        time_s = readings.conditions().elapsed_s
-        used = np.any(calibration.gain != 0.0, axis=(0, 2))
-        gone = walk_since(time_s[used], time_s[rows])
-        for c, size in enumerate(calibration.drift.size.tolist()):
-            whole += size**2 * gone * np.outer(by_signal[:, c], by_signal[:, c])
-    if readings.unit != VOLTS:
-        return np.asarray(whole)
-    for error in _acting(calibration, bench, model, day, meters):
-        if error.name != GRAVITY:
-            parts = parts_of(error, taken, functionals)
-            whole += parts @ parts.T
-    moving = _foundation(readings, bench)
-    if moving is not None:
-        parts = moving.parts(
-            taken.conditions, taken.block, taken.setting_slope, model.installations, functionals
-        )
-        whole += parts @ parts.T
-    return np.asarray(whole)
+    """Return the covariance (v, v) of |a| at the verification rows: the sum of `delta_g_contributions`."""
+    return np.asarray(sum(delta_g_contributions(calibration, readings, bench, model, day, meters).values()))
 
 
 def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> Taken:

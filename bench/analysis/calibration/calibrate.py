@@ -90,6 +90,7 @@ def calibrate(
     _refuse_untold_noise(fit.noise, readings.unit)
     fit_test = gls.lack_of_fit(problem, fit)
     tails = heavy_tails(problem, fit)
+    accepted = fit_test.accepted()  # else readings that are far off are off from a wrong model
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
     shared = take_in(problem, fit, readings.unit, floor) if find_shared else Shared(fit)
     fit = shared.fit
@@ -127,8 +128,10 @@ def calibrate(
         notes=(
             *_notes_on_rows(readings, chosen, by.name, join_free=join_free),
             *_on_levels(problem),
-            *notes,
-            *notes_on_noise(fit.noise, float("nan") if notes else tails, shared, birge, readings.unit),
+            *(notes if accepted else ()),
+            *notes_on_noise(
+                fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
+            ),
         ),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
         angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",

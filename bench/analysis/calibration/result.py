@@ -28,6 +28,8 @@ Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
 """
 
 LACK_OF_FIT_P: Final = 0.01
+NOT_ACCEPTED_P: Final = 1e-4
+"""Below it no calibration is accepted: its u widens with the misfit, but the cause is not known."""
 """A model fits readings where chance leaves as much at least this often."""
 
 HARDLY_BETTER = 0.95
@@ -173,6 +175,19 @@ class LackOfFit:
     def shown(self) -> bool:
         """Whether a lack of fit is shown; what cannot be judged shows none."""
         return self.p < LACK_OF_FIT_P
+
+    def accepted(self, *, strict: bool = False) -> bool:
+        """Whether a command that computes coefficients accepts them; with `strict` no lack of fit may be shown."""
+        return not (self.shown if strict else self.p < NOT_ACCEPTED_P)
+
+    def diagnose(self, source: str) -> tuple[str, ...]:
+        """Say where to look for the reason where it is not accepted; nothing where it is."""
+        if self.accepted():
+            return ()
+        return (
+            f"not accepted: the readings contradict the model (p < {NOT_ACCEPTED_P:g}); 'bench diagnose {source}' "
+            "finds which mistake or which effect it is",
+        )
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import Final
 
 from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
@@ -18,6 +20,8 @@ HEADLINES: Final = {
 """What the verdict on a whole verification is called."""
 
 _LEAST_SHOWN: Final = 1e-4
+_MOST: Final = 2
+"""So many contributions to u are named."""
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
@@ -32,12 +36,19 @@ def headline(result: Verification, *, upper: bool = False) -> str:
 
 def rule_in_words(rule: DecisionRule) -> str:
     """Return what a decision rule accepts, with its source."""
-    times = "" if rule.guard_band == 1.0 else f"{rule.guard_band:g} "
     if rule.name == SIMPLE:
         return (
             "accepted when |Δg| ≤ limit at every verification point; no guard band is taken off the limit "
             "(JCGM 106:2012, 8.2)"
         )
+    if rule.guard_band is None:
+        band = "w = 1.645 u, or what is 5 % where degrees of freedom, both limits or a population count"
+        sure = f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
+        return (
+            f"accepted when {sure}; what lies between there and the limit is conditional, and the customer's to "
+            "accept (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
+        )
+    times = "" if rule.guard_band == 1.0 else f"{rule.guard_band:g} "
     accepted = (
         f"accepted when |Δg| + {times}U ≤ limit at every verification point; a guard band w = {times}U is taken "
         "off the limit (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
@@ -115,7 +126,29 @@ def advice(result: Verification) -> tuple[str, ...]:
             f"{result.missing} verification points are missing, and nothing is accepted without them: "
             "measure them, too"
         )
-    return tuple(found)
+    return (*found, *_to_pass(result))
+
+
+def _to_pass(result: Verification) -> Iterator[str]:
+    """Say what would make it pass, and what makes most of u at the point that is furthest from it."""
+    needed = result.to_pass
+    if needed is None:
+        return
+    point = needed.point
+    at = result.points.index(point)
+    parts = {name: math.sqrt(max(part[at, at], 0.0)) for name, part in result.contributions.items()}
+    most = sorted(parts, key=lambda name: -parts[name])[:_MOST]
+    of_which = ", ".join(f"{name.replace('_', ' ')} {parts[name] * 1e6:.0f} µg" for name in most)
+    of_which = f" ({of_which})" if most else ""
+    smaller = (
+        "no smaller u makes it pass"
+        if needed.u_times is None
+        else f"u(Δg) up to {needed.u_times * point.u * 1e6:.3g} µg"
+    )
+    yield (
+        f"to pass: {smaller} at pass {point.pass_number} point {point.point}, where it is {point.u * 1e6:.3g} µg"
+        f"{of_which}; or a limit from {math.ceil(needed.limit_g * 1e6)} µg, if that is agreed"
+    )
 
 
 def global_risk_in_words(result: Verification) -> tuple[str, ...]:
@@ -127,5 +160,6 @@ def global_risk_in_words(result: Verification) -> tuple[str, ...]:
         f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
         f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
         f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
-        f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U)",
+        f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U); the risks of "
+        "this block are those of one of them that was measured so (JCGM 106:2012, A.4)",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
@@ -10,15 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.analysis.calibration.conformity import (
-    SIMPLE,
     DecisionRule,
     GlobalRisk,
+    Known,
     Population,
     Statement,
     coverage_factor,
     global_risk,
     probability_one_outside,
-    probability_outside,
+    probability_worst_outside,
 )
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
@@ -97,12 +98,33 @@ class VerificationPoint:
 
 
 @dataclass(frozen=True)
+class ToPass:
+    """The limit of |delta g| (g) that would be met, and the part of u that would meet the limit as it is.
+
+    `u_times` is None where no u is small enough; `point` lies furthest beyond what is accepted.
+    """
+
+    limit_g: float
+    u_times: float | None
+    point: VerificationPoint
+
+
+def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float:
+    """Return the value next to `bad` that passes, to a thousandth of the way; `good` where none else does."""
+    for _ in range(12):
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if passes(middle) else (good, middle)
+    return good
+
+
+@dataclass(frozen=True)
 class Verification:
     """The verdict: |delta g| within the limit, by the rule, at every verification point.
 
     `missing` counts points that were planned or written down but could not be judged: with one missing
     nothing is accepted, since (10) is demanded of every point. `covariance` (n, n) is that of delta g at the
-    points, which have the coefficients in common. `population` is what is known of delta g over many blocks.
+    points, which have the coefficients in common, `contributions` its parts by name. `population` is what is known
+    of delta g over many blocks.
     """
 
     limit_g: float
@@ -111,6 +133,7 @@ class Verification:
     missing: int = 0
     decision: DecisionRule = field(default_factory=DecisionRule)
     population: Population | None = None
+    contributions: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def rule(self) -> str:
@@ -156,14 +179,49 @@ class Verification:
 
     @property
     def p_outside_worst(self) -> float:
-        """Probability that the true error is outside the limit at that point where it is most probable."""
-        return max(point.p_outside for point in self.points)
+        """Probability that the true error is outside the limit at that point where it is most probable.
+
+        With a population it is that after all points' readings, as is the one of all points together.
+        """
+        if self.population is None:
+            return max(point.p_outside for point in self.points)
+        return probability_worst_outside(
+            self._errors, self.covariance, self.limit_g, self._dof, self.population
+        )
 
     @cached_property
     def p_outside(self) -> float:
         """Probability that the true error is outside the limit at one of the points at least."""
-        errors, dof = ([getattr(p, name) for p in self.points] for name in ("delta_g", "dof"))
-        return probability_one_outside(np.array(errors), self.covariance, self.limit_g, dof)
+        return probability_one_outside(
+            self._errors, self.covariance, self.limit_g, self._dof, self.population
+        )
+
+    @property
+    def _errors(self) -> Floats:
+        return np.array([point.delta_g for point in self.points])
+
+    @property
+    def _dof(self) -> Floats:
+        return np.array([point.dof for point in self.points])
+
+    @cached_property
+    def to_pass(self) -> ToPass | None:
+        """What would make it pass, all else as it is; None where it passes, or points are missing."""
+        if self.passed or self.missing:
+            return None
+        u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
+        known = Known.of(u, self._dof, self.population)
+
+        def passes(limit: float, times: float) -> bool:
+            return bool(np.all(sizes <= self.decision.acceptance_limit(limit, known.but(times=times))))
+
+        most = float(np.max(sizes + (4.0 + (self.decision.guard_band or 0.0)) * known.expanded))
+        needed = max(range(len(sizes)), key=lambda i: sizes[i] - self.points[i].accepted_up_to)
+        return ToPass(
+            limit_g=_bisected(lambda limit: passes(limit, 1.0), most, self.limit_g),
+            u_times=_bisected(lambda times: passes(self.limit_g, times), 0.0, 1.0) or None,
+            point=self.points[needed],
+        )
 
     @cached_property
     def global_risk(self) -> GlobalRisk | None:
@@ -178,8 +236,7 @@ class Verification:
         of_all, accepted = self.global_risk, self.passed or self.left_open
         return {
             "limit_g": self.limit_g,
-            "rule": self.rule,
-            "guard_band": self.decision.guard_band,
+            **self.decision.to_json(),
             "passed": self.passed,
             "statement": str(self.statement),
             "missing": self.missing,
@@ -203,10 +260,10 @@ def verify(
     reading_noise: float | Floats,
     limit_g: float,
     g_ratio: float = 1.0,
-    rule: str | DecisionRule = SIMPLE,
+    rule: str | DecisionRule | None = None,
     *,
     dof: ArrayLike = np.inf,
-    joint: Floats | None = None,
+    joint: Mapping[str, Floats] | None = None,
     population: Population | None = None,
 ) -> Verification:
     """Apply (9)-(10) to the verification rows of a table.
@@ -214,10 +271,10 @@ def verify(
     `g_ratio` is the gravity in which the coefficients are given over the local one: a block calibrated
     elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients and `reading_noise`
     fresh in each signal (unit of the signal; one size, or one for each channel) give u of each delta g, with
-    degrees of freedom `dof`; or `joint` (n, n) is the covariance of |a| at the points, in the gravity of the
-    coefficients. The setting of the head does not enter, the modulus does not depend on it. `rule` is one of
-    `RULES`, or a rule with another guard band. Raises `CalibrationError` when there is no verification row, K is
-    singular or the rule is unknown.
+    degrees of freedom `dof`; or `joint` are the parts by name, (n, n) each, of the covariance of |a| at the
+    points, in the gravity of the coefficients. The setting of the head does not enter, the modulus does not depend
+    on it. `rule` is one of `RULES`, a rule with another guard band, or None for the default. Raises
+    `CalibrationError` when there is no verification row, K is singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:
@@ -234,20 +291,18 @@ def verify(
     g_p = np.linalg.norm(force, axis=1) * g_ratio
     errors = g_p - 1.0
     by_coefficient, by_signal = modulus_slopes(force, block)
-    together = joint
-    if together is None:
-        together = by_coefficient @ covariance @ by_coefficient.T
-        together = together + np.diag(by_signal**2 @ np.broadcast_to(np.square(reading_noise), 3))
-    together = together * g_ratio**2
+    if joint is None:
+        joint = {
+            "coefficients": by_coefficient @ covariance @ by_coefficient.T,
+            "reading_at_the_point": np.diag(by_signal**2 @ np.broadcast_to(np.square(reading_noise), 3)),
+        }
+    joint = {name: part * g_ratio**2 for name, part in joint.items()}
+    together = sum(joint.values(), np.zeros((len(rows), len(rows))))
     u = np.sqrt(np.maximum(np.diag(together), 0.0))
-    nu = np.broadcast_to(np.asarray(dof, dtype=np.float64), u.shape)
-    k = coverage_factor(nu)
-    expanded = k * u
-    outside = probability_outside(errors, u, limit_g, nu)
-    accepted_up_to = [decision.acceptance_limit(limit_g, float(U)) for U in expanded]
-    statements = [
-        decision.statement(float(y), limit_g, float(U)) for y, U in zip(errors, expanded, strict=True)
-    ]
+    known = Known.of(u, dof, population)
+    k, outside = coverage_factor(known.dof), known.outside(errors, limit_g)
+    accepted_up_to = decision.acceptance_limit(limit_g, known)
+    statements = decision.statements(errors, limit_g, known)
     points = tuple(
         VerificationPoint(
             angle_deg=float(np.degrees(rows.angle_rad[i])),
@@ -256,18 +311,18 @@ def verify(
             g_p=float(g_p[i]),
             delta_g=float(errors[i]),
             u=float(u[i]),
-            U=float(expanded[i]),
+            U=float(known.expanded[i]),
             k=float(k[i]),
-            dof=float(nu[i]),
+            dof=float(known.dof[i]),
             limit_g=limit_g,
-            accepted_up_to=accepted_up_to[i],
+            accepted_up_to=float(accepted_up_to[i]),
             statement=statements[i],
-            rejected=not abs(errors[i]) <= accepted_up_to[i] and decision.rejects(statements[i]),
+            rejected=bool(not abs(errors[i]) <= accepted_up_to[i] and decision.rejects(statements[i])),
             p_outside=float(outside[i]),
         )
         for i in range(len(rows))
     )
-    return Verification(limit_g, points, together, readings.verification_missing, decision, population)
+    return Verification(limit_g, points, together, readings.verification_missing, decision, population, joint)
 
 
 def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:

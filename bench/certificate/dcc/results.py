@@ -10,9 +10,9 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration import Verification, VerificationPoint
-from bench.analysis.calibration.conformity import SIMPLE, Statement
+from bench.analysis.calibration.conformity import Statement
 from bench.base.arrays import Floats
-from bench.certificate.content import Certificate, Condition, Found, Instrument, Value, Values
+from bench.certificate.content import Certificate, Condition, Found, Instrument, Value, Values, rule_said
 from bench.certificate.dcc import units
 from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said
 from bench.certificate.dcc.units import si_unit
@@ -32,8 +32,6 @@ _CONFORMITY: Final = {
     Statement.FAIL: "fail",
 }
 """Where no statement can be made a DCC has `noPass`: conformity is not shown; the declaration says why."""
-
-_RULES: Final = {SIMPLE: "rule_simple", "guarded": "rule_guarded", "non-binary": "rule_non_binary"}
 
 
 def measurement_results(certificate: Certificate) -> Node:
@@ -265,7 +263,6 @@ def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
 
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
     """Return the statement of conformity on the whole, with limit and rule."""
-    rule, times = _RULES[verification.rule], f"{verification.decision.guard_band:g}"
     words = tuple(
         node(
             "dcc:content",
@@ -276,7 +273,7 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
                 statement=one.say(str(verification.statement)),
             )
             + " "
-            + one.say(rule, times=times)
+            + rule_said(one.say, verification.decision)
             + "; "
             + one.say("accepted" if verification.passed else "not_accepted")
             + ".",

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
-from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE
 from bench.analysis.calibration.verdict_words import optional_probability, probability_in_words
 from bench.base.arrays import ARCSEC
 from bench.base.numbers import fixed, places, quantity, two_digits, typeset
-from bench.certificate.content import Certificate, Condition, Found, Instrument, uncertified
+from bench.certificate.content import Certificate, Condition, Found, Instrument, rule_said, uncertified
 from bench.certificate.paper.blocks import (
     NOBODY_SAYS,
     Block,
@@ -26,7 +25,6 @@ from bench.report.plots import residuals_by_angle, verification_points
 
 _FORMULA: Final = "U = K a + U₀,  a = N (U − U₀),  N = K⁻¹,  Δg = |a| − 1"
 _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
-_RULES: Final = {SIMPLE: "rule_simple", NON_BINARY: "rule_non_binary"}
 
 
 def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
@@ -212,7 +210,7 @@ def verdict_of(found: Found, write: Writer) -> list[Block]:
         ),
         (
             "rule",
-            [write.say(_RULES.get(result.rule, "rule_guarded"), times=f"{result.decision.guard_band:g}")],
+            [rule_said(write.say, result.decision)],
         ),
     ]
     if result.passed or result.left_open:

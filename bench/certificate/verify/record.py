@@ -9,7 +9,9 @@ from importlib import metadata
 from pathlib import Path
 
 from bench.analysis.calibration import CalibrationError
+from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
 from bench.api.errors import Refused
+from bench.api.verification import NOTHING_ASKED, Asked
 from bench.certificate.gather import found_by
 from bench.certificate.verify.shown import Shown
 from bench.run.folder import find_run
@@ -51,7 +53,7 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
     if differences:
         return Held(wrong=f"{folder}: {'; '.join(differences)}")
     try:
-        found = found_by(seal.run, runs, shown.coefficients[0].k)
+        found = found_by(seal.run, runs, shown.coefficients[0].k, _asked(shown))
     except (Refused, RecordError, CalibrationError) as error:
         return Held(wrong=f"{folder}: the record gives no result ({error})")
     if found.result_json.encode() == shown.files["result.json"]:
@@ -64,3 +66,15 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
             open=f"that the record gives these results: release {shown.release} evaluated it, another than this",
         )
     return Held(wrong=f"{folder}: the record gives another result than the certificate")
+
+
+def _asked(shown: Shown) -> Asked:
+    """Return the decision rule that the certificate states: it may have been agreed for it alone."""
+    try:
+        told = json.loads(shown.files["result.json"])["verification"]
+        rule = DecisionRule.of_json(told) if told else DecisionRule()
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
+        return NOTHING_ASKED  # its result is no result, which shows in what follows
+    if rule.guard_band is None:
+        return NOTHING_ASKED
+    return Asked(rule=rule.name, guard_band=None if rule.name == SIMPLE else rule.guard_band)

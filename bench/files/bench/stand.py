@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -207,21 +207,28 @@ class PopulationSection(FileModel):
         return size_g
 
 
-class VerificationSection(FileModel):
-    """Delta g_A: how far the measured modulus of gravity may be from 1 g, and how the verdict is found.
+class StatedRule(FileModel):
+    """A decision rule as a file states it; the guard band is so many times U (of the non-binary if unnamed)."""
 
-    The guard band of the rule is so many times U; a rule that is left out is simple acceptance.
-    """
-
-    limit: SizeG
-    rule: Literal["simple acceptance", "guarded", "non-binary"] = "simple acceptance"
+    rule: Literal["simple acceptance", "guarded", "non-binary"] | None = None
     guard_band: Annotated[float, Field(gt=0.0)] | None = None
-    population: PopulationSection | None = None
+
+    @property
+    def names_a_rule(self) -> bool:
+        """Whether it says how a verdict is found; else the default rule holds."""
+        return self.rule is not None or self.guard_band is not None
 
     @model_validator(mode="after")
-    def _band_with_its_rule(self) -> VerificationSection:
+    def _band_with_its_rule(self) -> Self:
         if self.rule == "simple acceptance" and self.guard_band is not None:
             raise ValueError(
                 "simple acceptance takes no guard band off the limit; leave it out, or say rule: guarded"
             )
         return self
+
+
+class VerificationSection(StatedRule):
+    """Delta g_A: how far the measured modulus of gravity may be from 1 g, and how the verdict is found."""
+
+    limit: SizeG
+    population: PopulationSection | None = None

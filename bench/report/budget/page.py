@@ -28,7 +28,7 @@ def render_budget(result: Mapping[str, Any]) -> str:
         points=_points(result),
         verdict={True: "passed", False: "failed", None: "none"}[check["capable"]],
         limit=f"{1e6 * check['limit_g']:g}",
-        rule_in_words=rule_in_words(DecisionRule(check["rule"], check["guard_band"])),
+        rule_in_words=rule_in_words(DecisionRule.of_json(check)),
         monte_carlo=_monte_carlo(result),
         contributions=Markup(contributions(result).svg()),  # noqa: S704 - our own drawing
         modulus=Markup(modulus(result).svg()),  # noqa: S704

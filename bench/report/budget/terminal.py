@@ -102,7 +102,8 @@ def _print_points(out: Console, found: Assessment) -> None:
             name,
         )
     out.print(rows)
-    verdict = "can be passed" if found.capable else "CANNOT BE PASSED"
+    surely = f"CANNOT BE PASSED with {100 * found.budget.probability:.4g} %"
+    verdict = "can be passed" if found.capable else surely
     out.print(
         f"check of |Δg| ≤ {question.limit_g * 1e6:g} µg, rule: {question.rule.words}: {verdict} "
         "(U against what is accepted, at every point)",

@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.integrate import quad
 
-from bench.analysis.calibration import CalibrationError
+from bench.analysis.calibration import CalibrationError, conformity
 from bench.analysis.calibration.conformity import (
     GUARDED,
     NON_BINARY,
     RULES,
     SIMPLE,
     DecisionRule,
+    Known,
     Population,
     Statement,
     coverage_factor,
@@ -18,6 +20,8 @@ from bench.analysis.calibration.conformity import (
     probability_one_outside,
     probability_outside,
 )
+from bench.run.manifest import DEFAULT_RULE
+from benchmarks.verdict_risk import within_chance
 
 VALUES = np.linspace(-5.0, 5.0, 41)
 
@@ -80,19 +84,21 @@ def test_the_coverage_factor_keeps_the_level_of_two():
 def test_what_a_rule_accepts_and_states(name, band, value, accepted, statement):
     """Limit 1, U = 0.3 (ILAC-G8:09/2019, 4.2): guard bands of U, and of other parts of it."""
     rule = DecisionRule.of(name, band)
-    assert bool(abs(value) <= rule.acceptance_limit(1.0, 0.3)) is accepted
-    assert rule.statement(value, 1.0, 0.3) == statement
+    known = Known.of(0.15)
+    assert bool(abs(value) <= rule.acceptance_limit(1.0, known)) is accepted
+    assert rule.statements(np.array([value]), 1.0, known) == [statement]
 
 
-@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("name", [*RULES, None])
 def test_beyond_the_limit_u_allows_no_statement_but_a_failure(name):
     rule = DecisionRule.of(name)
-    for value in VALUES:
-        statement = rule.statement(value, 1.0, 1.01)
+    known = Known.of(np.full(VALUES.shape, 0.505))
+    for value, statement in zip(VALUES, rule.statements(VALUES, 1.0, known), strict=True):
         assert statement is (Statement.FAIL if abs(value) > 2.01 else Statement.INCONCLUSIVE)
-    assert rule.acceptance_limit(1.0, 1.01) < 0.0
-    assert rule.statement(0.0, 1.0, float("nan")) is Statement.INCONCLUSIVE
-    assert np.isnan(rule.acceptance_limit(1.0, float("nan")))
+    assert np.all(rule.acceptance_limit(1.0, known) < 0.0)
+    unknown = Known.of(float("nan"))
+    assert rule.statements(np.zeros(1), 1.0, unknown) == [Statement.INCONCLUSIVE]
+    assert np.isnan(rule.acceptance_limit(1.0, unknown))
 
 
 @pytest.mark.parametrize(
@@ -101,10 +107,38 @@ def test_beyond_the_limit_u_allows_no_statement_but_a_failure(name):
 def test_risks_of_guard_bands_are_those_of_ilac_g8(band, risk):
     """ILAC-G8:09/2019, table 1: the largest specific risk of a value accepted with w = r U, k = 2."""
     u = 0.1
-    at = (DecisionRule.of(GUARDED, band) if band else DecisionRule()).acceptance_limit(1.0, 2 * u)
-    worst = float(probability_outside(at, u, 1.0))
+    at = DecisionRule.of(GUARDED if band else SIMPLE, band or None).acceptance_limit(1.0, Known.of(u))
+    worst = probability_outside(at, u, 1.0).item()
     assert 0.8 * risk < worst <= risk or band == 3.0
     assert worst <= risk
+
+
+@pytest.mark.parametrize("dof", [np.inf, 30.0, 5.0])
+@pytest.mark.parametrize("ratio", [1.0, 1.05, 1.5, 4.0])
+def test_without_a_rule_it_is_accepted_up_to_five_per_cent(dof, ratio):
+    """JCGM 106:2012, 8.3.2: the guard band is where a twentieth of the distribution lies outside."""
+    known = Known.of(0.1, dof)
+    limit = ratio * known.expanded.item()
+    rule = DecisionRule.of(None)
+    at = rule.acceptance_limit(limit, known).item()
+    distribution = stats.t(dof, at, 0.1) if np.isfinite(dof) else stats.norm(at, 0.1)
+    assert distribution.sf(limit) + distribution.cdf(-limit) == pytest.approx(0.05, abs=1e-9)
+    one_sided = limit - 0.1 * (stats.t(dof) if np.isfinite(dof) else stats.norm).ppf(0.95)
+    assert 0 < at <= one_sided
+    assert ratio < 4 or at == pytest.approx(one_sided, rel=1e-4)
+    beyond = limit + 1.01 * (limit - one_sided)
+    stated = [rule.statements(np.array([y]), limit, known)[0] for y in (at, at + 1e-6, -limit - 1e-6, beyond)]
+    assert stated == ["pass", "conditional pass", "conditional fail", "fail"]
+    assert not rule.rejects(stated[1])
+
+
+def test_a_guard_band_without_a_name_is_that_of_the_non_binary_rule():
+    assert DecisionRule.of(None, 0.5) == DecisionRule(NON_BINARY, 0.5)
+    assert DecisionRule.of("non-binary") == DecisionRule(NON_BINARY, 1.0)
+    for rule in (DecisionRule.of(None), DecisionRule.of(None, 0.5), DecisionRule.of(SIMPLE)):
+        assert DecisionRule.of_json(rule.to_json()) == rule
+    assert DecisionRule.of(None).to_json()["guard_band"] == pytest.approx(stats.norm.ppf(0.95) / 2)
+    assert DecisionRule.of_json(DEFAULT_RULE) == DecisionRule.of(None)
 
 
 def test_a_rule_that_is_none_is_refused():
@@ -204,6 +238,67 @@ def test_where_nothing_is_accepted_all_that_conforms_is_rejected():
     risk = global_risk(Population(0.0, 1.0), 1.5, 2.0, -1.0)
     assert risk.false_accept == 0.0
     assert risk.false_reject == pytest.approx(stats.norm.cdf(2) - stats.norm.cdf(-2))
+
+
+def after(measured, u, dof, population, limit):
+    """What prior times likelihood leaves outside ±limit, by integration."""
+    prior = stats.norm(population.mean, population.standard_deviation)
+    scale = stats.norm(measured, u) if np.isinf(dof) else stats.t(dof, measured, u)
+
+    def part(low, high):
+        bends = [x for x in (measured, population.mean) if low < x < high]
+        return quad(lambda x: prior.pdf(x) * scale.pdf(x), low, high, points=bends or None, limit=200)[0]
+
+    inside = part(-limit, limit)
+    outside = part(-12.0, -limit) + part(limit, 12.0)
+    return outside / (inside + outside)
+
+
+@pytest.mark.parametrize("dof", [np.inf, 20.0, 4.0])
+@pytest.mark.parametrize(("mean", "deviation", "u"), [(0.0, 1.0, 0.7), (0.5, 0.6, 0.9), (-1.5, 0.4, 0.3)])
+def test_a_population_is_the_prior_of_the_risk(mean, deviation, u, dof):
+    """JCGM 106:2012, A.4, and 6.2 for what is not normal: a t of 200 parts within 1 % or 2e-4."""
+    population, values = Population(mean, deviation), np.array([-2.5, -1.0, 0.0, 1.4, 1.9, 2.6])
+    found = probability_outside(values, np.full(6, u), 2.0, np.full(6, dof), population)
+    expected = [after(y, u, dof, population, 2.0) for y in values]
+    np.testing.assert_allclose(found, expected, rtol=1e-6 if np.isinf(dof) else 0.01, atol=2e-4)
+
+
+def test_a_population_without_bounds_tells_nothing():
+    wide = Population(0.3, 1e6)
+    np.testing.assert_allclose(
+        probability_outside(VALUES, 0.7, 2.0, population=wide),
+        probability_outside(VALUES, 0.7, 2.0),
+        rtol=1e-4,
+    )
+    certain = probability_outside([1.9, -2.1], 0.0, 2.0, population=Population(0.0, 1.0))
+    np.testing.assert_array_equal(certain, [0, 1])
+
+
+@pytest.mark.parametrize(("mean", "deviation"), [(0.0, 1.0), (0.6, 0.8), (0.0, 0.2)])
+def test_with_a_population_the_guard_band_is_where_its_risk_is(mean, deviation):
+    """On the worse side five per cent, never beyond the limit; nothing where the mean is too far out."""
+    population = Population(mean, deviation)
+    at = DecisionRule.of(None).acceptance_limit(2.0, Known.of(0.8, population=population)).item()
+    worst = max(after(side * at, 0.8, np.inf, population, 2.0) for side in (1, -1))
+    assert worst == pytest.approx(0.05, rel=1e-3) if at < 2.0 else worst <= 0.05
+    assert (at == 2.0) is (deviation == 0.2)
+    hopeless = Known.of(0.8, population=Population(3.0, 0.5))
+    assert DecisionRule.of(None).acceptance_limit(2.0, hopeless) < 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("errors", [1, 4])
+def test_risks_of_several_points_of_blocks_that_are_drawn(errors, monkeypatch):
+    """700 blocks (seed 4) of four points with one error, or one each: five bins within chance at 1 % (Holm)."""
+    monkeypatch.setattr(conformity, "_DRAWS", 10_000)
+    rng = np.random.default_rng(4)
+    population, covariance = Population(0.2, 0.6), correlated(4, 0.01) * 0.04
+    true = np.broadcast_to(rng.normal(0.2, 0.6, (700, errors)), (700, 4))
+    measured = true + rng.multivariate_normal(np.zeros(4), covariance, len(true))
+    stated = np.array([probability_one_outside(y, covariance, 1.2, population=population) for y in measured])
+    wrong = np.any(np.abs(true) > 1.2, axis=1)
+    assert within_chance(stated, wrong) == []
 
 
 @pytest.mark.parametrize("sizes", [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0)])

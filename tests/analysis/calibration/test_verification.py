@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from bench.analysis.calibration import CalibrationError, calibrate, verify
 from bench.analysis.calibration.conformity import Population, global_risk
-from bench.analysis.calibration.verdict_words import global_risk_in_words, verdict_line
+from bench.analysis.calibration.verdict_words import advice, global_risk_in_words, verdict_line
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
@@ -118,7 +119,8 @@ def test_a_table_without_verification_points_is_refused():
 def test_result_as_promised():
     result = verify(turned(), BLOCK, NONE, 0.0, 3e-4).to_json()
     assert result["limit_g"] == 3e-4
-    assert result["rule"] == "simple acceptance"
+    assert (result["rule"], result["false_acceptance"]) == ("non-binary", 0.05)
+    assert result["guard_band"] == pytest.approx(0.8224, abs=1e-4)
     assert result["passed"] is True
     assert set(result["points"][0]) >= {"angle_deg", "g_p", "delta_g", "u", "passed"}
 
@@ -159,9 +161,9 @@ def test_one_size_for_all_channels_is_that_size_in_each(covariance):
 
 
 def test_a_covariance_of_the_points_that_is_known_is_taken_as_it_is():
-    joint = np.full((4, 4), 1e-10)
+    joint = {"all": np.full((4, 4), 1e-10)}
     result = verify(turned(), BLOCK, NONE, 1.0, 3e-4, 2.0, joint=joint)
-    np.testing.assert_allclose(result.covariance, 4 * joint)
+    np.testing.assert_allclose(result.covariance, 4 * joint["all"])
     assert [p.u for p in result.points] == pytest.approx([2e-5] * 4)
 
 
@@ -214,6 +216,39 @@ def test_a_conditional_pass_of_the_non_binary_rule_is_left_open():
     line = verdict_line("unit", result)
     assert "CONDITIONAL PASS, for the customer to accept: worst" in line
     assert f"probability of false acceptance if it is accepted {result.p_outside:.2g}" in line
+
+
+def test_what_would_make_it_pass_makes_it_pass():
+    """With the limit or the u that it says the same readings pass, with a little less they do not."""
+    result = verify(turned(), altered_z(1.00055), NONE, 1e-4, 3e-4)
+    assert (result.statement, result.passed) == ("conditional pass", False)
+    needed = result.to_pass
+    for factor, passed in ((1.001, True), (0.998, False)):
+        again = verify(turned(), altered_z(1.00055), NONE, 1e-4, factor * needed.limit_g)
+        assert again.passed is passed
+        smaller = verify(turned(), altered_z(1.00055), NONE, 1e-4 * needed.u_times / factor, 3e-4)
+        assert smaller.passed is passed
+    (sentence,) = (one for one in advice(result) if one.startswith("to pass: u(Δg) up to"))
+    assert "reading at the point" in sentence
+    assert f"or a limit from {int(np.ceil(1e6 * needed.limit_g))} µg" in sentence
+    beyond = verify(turned(), altered_z(1.001), NONE, 1e-4, 3e-4)
+    assert beyond.to_pass.u_times is None
+    assert any("no smaller u makes it pass" in one for one in advice(beyond))
+    assert verify(turned(), BLOCK, NONE, 1e-5, 3e-4).to_pass is None
+
+
+def test_a_population_enters_the_risks_of_the_block(covariance):
+    """Its own reading tells of a point as JCGM 106:2012, A.4 has it; of the run all of them do."""
+    population = Population(0.0, 1e-4)
+    plain = verify(turned(), altered_z(1.0005), covariance, 1e-4, 3e-4)
+    result = verify(turned(), altered_z(1.0005), covariance, 1e-4, 3e-4, population=population)
+    for before, point in zip(plain.points, result.points, strict=True):
+        part = 1e-8 / (1e-8 + point.u**2)
+        after = stats.norm(part * point.delta_g, np.sqrt(part) * point.u)
+        assert point.p_outside == pytest.approx(after.sf(3e-4) + after.cdf(-3e-4))
+        assert point.p_outside < 0.5 * before.p_outside
+        assert point.accepted_up_to > before.accepted_up_to
+    assert result.p_outside_worst <= result.p_outside < plain.p_outside
 
 
 def test_a_missing_point_leaves_the_verdict_open_but_not_a_failure():
