@@ -172,7 +172,8 @@ def _of_family(terms: list[_Term], chance: Floats) -> Floats:
     kinds = list(dict.fromkeys(t.what for t in terms))
     of = np.array([kinds.index(t.what) for t in terms], dtype=np.int64)
     surprise = np.bincount(of, -2.0 * np.log(np.maximum(chance, 1e-300)))
-    return holm(special.chdtrc(2.0 * np.bincount(of), surprise))[of]
+    of_kind = special.chdtrc(2.0 * np.bincount(of), surprise).astype(np.float64)
+    return np.asarray(holm(of_kind)[of])
 
 
 def _wander(terms: list[_Term], variances: Floats) -> Floats:

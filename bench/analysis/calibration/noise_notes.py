@@ -25,7 +25,7 @@ _SHARED_BY: Final = {
 
 def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, unit: str) -> tuple[str, ...]:
     """Return the sentences; `tails` is the probability of such tails, `birge` by how much u was widened."""
-    notes = [] if noise.prior is None else [_on_prior(noise.prior, unit)]
+    notes = [*note_on_prior(noise, unit)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
         notes.append(f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own")
@@ -48,8 +48,12 @@ def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, uni
     return tuple(notes)
 
 
+def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
+    """Say where u rests on a statement, and whether the readings agree with it."""
+    return () if noise.prior is None else (_on_prior(noise.prior, unit),)
+
+
 def _on_prior(prior: NoisePrior, unit: str) -> str:
-    """Say that u rests on a statement, and whether the readings agree with it."""
     where = "the bench file states" if prior.stated else "other runs told"
     rests = (
         f"u rests on the sizes of the noise that {where} (reading {prior.reading:.2g} {unit}, setting "
@@ -59,7 +63,10 @@ def _on_prior(prior: NoisePrior, unit: str) -> str:
         return f"{rests}: so few readings leave nothing over to tell the noise, not even whether that is so"
     scatter = f"they scatter {prior.ratio:.2g} times as much"
     if prior.p < DISAGREES_P:
-        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points, or mend the statement"
+        return (
+            f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points, or mend the "
+            "statement"
+        )
     return f"{rests}, for the readings alone tell little of it: {scatter} (p = {prior.p:.2g})"
 
 
