@@ -251,7 +251,7 @@ def require_told(noise: Noise) -> None:
 
 
 def _prior(of: Residuals, known: KnownNoise, floor: float) -> NoisePrior:
-    """Return what is known beside the residuals: y^T P y is chi-square about what is stated, F about an estimate."""
+    """Return what is known beside the residuals: their y^T P y is chi-square if it holds, F about an estimate."""
     reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
     prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
     if freedom <= 0:

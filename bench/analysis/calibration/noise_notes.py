@@ -8,6 +8,7 @@ from typing import Final
 from bench.analysis.calibration.components import ANGLE, DRIFT, Component, Shared
 from bench.analysis.calibration.result import Noise, NoisePrior
 from bench.base.arrays import ARCSEC, CHANNELS
+from bench.base.numbers import scale_for
 
 UNEQUAL_P: Final = 0.001
 """Channels of different noise, and heavy tails, are told from here on: not in every hundredth run."""
@@ -55,19 +56,17 @@ def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
 
 def _on_prior(prior: NoisePrior, unit: str) -> str:
     where = "the bench file states" if prior.stated else "other runs told"
+    scale = scale_for(prior.reading, unit)
     rests = (
-        f"u rests on the sizes of the noise that {where} (reading {prior.reading:.2g} {unit}, setting "
-        f"{prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
+        f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
+        f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
     )
     if not prior.readings_dof > 0:
-        return f"{rests}: so few readings leave nothing over to tell the noise, not even whether that is so"
+        return f"{rests}: so few readings leave nothing over that would show the noise"
     scatter = f"they scatter {prior.ratio:.2g} times as much"
     if prior.p < DISAGREES_P:
-        return (
-            f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points, or mend the "
-            "statement"
-        )
-    return f"{rests}, for the readings alone tell little of it: {scatter} (p = {prior.p:.2g})"
+        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
+    return f"{rests}: so few readings show little of it, and {scatter} (p = {prior.p:.2g})"
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
