@@ -2,6 +2,8 @@
 
     python -m benchmarks.honest_uncertainty --runs 2000 --noise 1e-4 2e-5 --workers 2
     python -m benchmarks.honest_uncertainty --batch 10000 --joined 1000 --runs 0
+    python -m benchmarks.honest_uncertainty --few 2000 --clean 2000 --runs 0
+    python -m benchmarks.honest_uncertainty --few 2000 --clean 2000 --runs 0
 
 For each size of the voltmeter's noise (V): the root mean square of (estimate - truth)/u for each coefficient
 by the default estimator (promised: 0.95 to 1.05) and by the closed form; how many times smaller the errors of
@@ -11,6 +13,12 @@ although nothing is wrong. The stand is the paper's with its limits as three sig
 to the fit. `--batch` units are calibrated at once: spread of the estimates over the stated u (promised: 0.96 to
 1.04). `--joined` runs have eight free positions and a third mounting angle in each installation (promised:
 0.95 to 1.05), with three passes and with one. Bounds are widened by three standard errors of what is measured.
+`--few` runs of each design that leaves hardly a degree of freedom (2+2, 3+2, 3+3, 4+2 readings) have the bench's
+sizes of the noise stated. With noise drawn from the prior that the program states: coverage of U (promised: 0.93
+of all coefficients, 0.91 of each) and refusals (promised: 1 % at most); at twice the stated noise the result says
+that it rests on the statement (promised: always), and how often that the readings disagree. `--clean` runs, of
+alike and of unlike channels, have nothing that readings share: how often a component is taken in (promised: 1 %,
+within the binomial limit of 99 %).
 The simulation does not use the application's geometry. Exit status 1 when a promise is broken.
 """
 
@@ -26,10 +34,23 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
 import numpy as np
+from scipy import stats
 
 from bench.analysis.calibration.batch import calibrate_batch
+from bench.analysis.calibration.components import ASKED_P
+from bench.analysis.calibration.result import COVERAGE_FACTOR
 from bench.model.block import COEFFICIENTS
-from tests.support.honest_runs import MODEL, Runs, rms, run, run_joined, simulate_many
+from tests.support.honest_runs import (
+    FEW,
+    MODEL,
+    Runs,
+    components_taken,
+    rms,
+    run,
+    run_few,
+    run_joined,
+    simulate_many,
+)
 from tests.support.paper_bench import STAND_U, TRUTH, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -106,6 +127,47 @@ def broken_promises(runs: Runs) -> list[str]:
     return broken
 
 
+def few(pool: ProcessPoolExecutor, seed: int, count: int) -> list[str]:
+    """Calibrate few readings: coverage at noise as the program states it, and what is said at twice as much."""
+    broken = []
+    for design in FEW:
+        for times, what in ((None, "drawn from the prior"), (2.0, "twice the stated")):
+            chunks = [range(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
+            n = len(chunks)
+            parts = list(pool.map(run_few, [seed] * n, chunks, [design] * n, [times] * n))
+            error, u, rests, disagrees = (
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("error", "u", "rests", "disagrees")
+            )
+            refused = [text for part in parts for text in part.refused]
+            covered = np.mean(np.abs(error) <= COVERAGE_FACTOR * u, axis=0)
+            print(
+                f"{design}, noise {what}: coverage {covered.mean():.3f}, least {covered.min():.3f} "
+                f"({COEFFICIENTS[int(covered.argmin())]}), {len(refused)} of {count} refused; rests on the "
+                f"statement {rests.mean():.3f}, the readings disagree {disagrees.mean():.3f}",
+                flush=True,
+            )
+            broken += (
+                [f"{design}: {len(refused)} refused: {refused[0]}"] if len(refused) > 0.01 * count else []
+            )
+            broken += [] if rests.all() else [f"{design}: not always said to rest on the statement"]
+            if times is None and (covered.mean() < 0.93 or covered.min() < 0.91):
+                broken.append(f"{design}: coverage {covered.mean():.3f}, least {covered.min():.3f}")
+    return broken
+
+
+def clean(pool: ProcessPoolExecutor, seed: int, count: int) -> list[str]:
+    """Calibrate runs of which the readings share nothing: how often a component is taken in for nothing."""
+    broken = []
+    for case, what in (("stand", "alike"), ("noise", "unlike")):
+        chunks = [range(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
+        taken = sum(pool.map(components_taken, [seed] * len(chunks), chunks, [case] * len(chunks)))
+        most = int(stats.binom.ppf(0.99, count, ASKED_P))
+        print(f"{taken} of {count} clean runs of {what} channels have a component, {most} at most at 1 %")
+        broken += [f"{what} channels: components in {taken} of {count} clean runs"] if taken > most else []
+    return broken
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=2000)
@@ -114,9 +176,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="run k has the seed [seed, k]")
     parser.add_argument("--batch", type=int, default=0, help="units to calibrate at once")
     parser.add_argument("--joined", type=int, default=0, help="runs in which free positions join")
+    parser.add_argument("--few", type=int, default=0, help="runs of each design with few readings")
+    parser.add_argument("--clean", type=int, default=0, help="runs of which the readings share nothing")
     given = parser.parse_args()
     broken: list[str] = []
     with ProcessPoolExecutor(given.workers) as pool:
+        if given.few:
+            broken += few(pool, given.seed, given.few)
+        if given.clean:
+            broken += clean(pool, given.seed, given.clean)
         for noise_v in given.noise:
             print(f"\nnoise {noise_v:g} V")
             if given.batch:

@@ -126,8 +126,9 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties of the stand's errors by name, rad (V for the voltmeter's)."""
-        return {name: d.u for name, d in self.bench.stand_distributions().items()}
+        """Standard uncertainties of the stand's errors by name, rad; the voltmeter's only for signals in V."""
+        sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
+        return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
 
     def as_certified(self) -> Source:
         """Return the source without what was learned: readings corrected by certificates alone, stated limits."""

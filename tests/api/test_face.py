@@ -1,6 +1,7 @@
 """`import bench`: what a notebook does with it, beside what the commands answer."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import bench as program
 from bench.readings.csv import write_csv
 from tests.support.diagnosis_bench import paper_run
+from tests.support.honest_runs import simulate_few
 from tests.support.paper_bench import K
 
 
@@ -152,3 +154,13 @@ def test_without_gravity_nothing_is_believed(readings):
     with pytest.raises(program.Refused, match=r"paper-stand: gives no local gravity; .*say g=9\.81"):
         program.calibrate(readings, bench=stand)
     assert program.calibrate(readings, bench=stand, g=9.8).g_m_s2 == 9.8
+
+
+def test_few_readings_rest_on_the_bench_file_where_it_states_their_noise(empty_folder):
+    """Four readings leave nothing over: in V the bench file has their noise, in m/s² nobody has."""
+    few = simulate_few(np.random.default_rng(1), "2+2", 1e-4)
+    write_csv(few, Path("volts.csv"))
+    assert program.calibrate("volts.csv").calibration.noise.reading == pytest.approx(1e-4)
+    write_csv(replace(few, unit="m/s^2"), Path("other.csv"))
+    with pytest.raises(program.CalibrationError, match="nobody stated it in the unit of the signals"):
+        program.calibrate("other.csv")

@@ -1,10 +1,12 @@
 """Many simulated calibrations with known truth, for the test and the benchmark of honest uncertainties."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-from bench.analysis.calibration import Calibration, calibrate
+from bench.analysis.calibration import Calibration, CalibrationError, calibrate
+from bench.analysis.calibration.result import COVERAGE_FACTOR, NoisePrior
 from bench.base.arrays import Floats
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
@@ -20,9 +22,18 @@ from tests.support.paper_bench import (
     simulate,
     specific_force,
 )
+from tests.support.whole_truth import simulate_whole
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 ROLL_U = 30 * ARCSEC
+STATED = STAND_U | {"setting_error": SETTING_U_RAD, "voltmeter_error": 1e-4}
+FEW = {
+    "2+2": ((0, 90), (0, 90)),
+    "3+2": ((0, 90, 180), (0, 90)),
+    "3+3": ((0, 90, 180), (0, 90, 180)),
+    "4+2": ((0, 90, 180, 270), (0, 90)),
+}
+"""Head angles in installations 1 and 2, degrees, of designs that leave the noise hardly a degree of freedom."""
 STAND_WITH_ROLL = STAND_U | {"mounting_roll": ROLL_U}
 
 
@@ -85,6 +96,89 @@ def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
             )
         )
     return Runs(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+@dataclass(frozen=True)
+class FewRuns:
+    """Errors and u of the readings (runs, 12) of runs with few readings, and what became of each.
+
+    `refused` are the messages; `rests` (runs,) whether a note says that u rests on the bench file, `disagrees`
+    whether it says that the readings disagree with it.
+    """
+
+    error: Floats
+    u: Floats
+    refused: tuple[str, ...]
+    rests: Floats
+    disagrees: Floats
+
+    @property
+    def covered(self) -> Floats:
+        """Part of the intervals k u that hold the truth, of each coefficient."""
+        return np.asarray(np.mean(np.abs(self.error) <= COVERAGE_FACTOR * self.u, axis=0))
+
+
+def run_few(seed: int, numbers: range, design: str, times: float | None = None) -> FewRuns:
+    """Simulate and calibrate runs of a design of `FEW`, the bench's sizes stated; run k has the seed [seed, k].
+
+    The sizes of the noise are so many `times` the stated ones, or drawn from the prior that the program states:
+    a scaled inverse chi-square of the variance of the readings and of that of the settings.
+    """
+    rows, refused = [], []
+    for k in numbers:
+        rng = np.random.default_rng([seed, k])
+        noise_v, setting_rad = STATED["voltmeter_error"], SETTING_U_RAD
+        if times is None:
+            prior = _prior_of(design)
+            noise_v, setting_rad = np.array([prior.reading, prior.setting_rad]) * np.sqrt(
+                prior.dof / rng.chisquare(prior.dof, 2)
+            )
+        else:
+            noise_v, setting_rad = times * noise_v, times * setting_rad
+        try:
+            found = calibrate(simulate_few(rng, design, noise_v, setting_rad), MODEL, STATED, 9.81)
+        except CalibrationError as error:
+            refused.append(str(error))
+            continue
+        said = [
+            note for note in found.notes if "u rests on the sizes of the noise that the bench file" in note
+        ]
+        disagrees = any("disagree" in note for note in said)
+        rows.append((found.block.vector - TRUTH, found.u_readings, bool(said), disagrees))
+    error, u, rests, disagrees = (np.array(column) for column in zip(*rows, strict=True))
+    return FewRuns(error, u, tuple(refused), rests, disagrees)
+
+
+def components_taken(seed: int, numbers: range, case: str) -> int:
+    """Count runs of `simulate_whole` of a case in which something that readings share is taken in."""
+    runs = (simulate_whole(np.random.default_rng([seed, k]), case).readings for k in numbers)
+    return sum(len(calibrate(run, MODEL, STAND_U, 9.81).shared) > 0 for run in runs)
+
+
+@cache
+def _prior_of(design: str) -> NoisePrior:
+    """What the program states of the noise of any run of the design."""
+    prior = calibrate(simulate_few(None, design), MODEL, STATED, 9.81).noise.prior
+    assert prior is not None
+    return prior
+
+
+def simulate_few(
+    rng: np.random.Generator | None, design: str, noise_v: float = 0.0, setting_rad: float = 0.0
+) -> Readings:
+    """One run of a design of `FEW` with stand errors drawn for each installation; without `rng` no error at all."""
+    angles = dict(zip("12", FEW[design], strict=True))
+    installation = [i for i, own in angles.items() for _ in own]
+    point = [p for own in angles.values() for p in range(1, len(own) + 1)]
+    phi = np.radians(np.concatenate(list(angles.values())))
+    n = len(phi)
+    stand, setting, noise = np.zeros((2, 3)), np.zeros(n), np.zeros((n, 3))
+    if rng is not None:
+        stand = rng.normal(0.0, list(STAND_U.values()), (2, 3))
+        setting, noise = rng.normal(0.0, setting_rad, n), rng.normal(0.0, noise_v, (n, 3))
+    alpha1, alpha2, alpha3 = stand[[int(i) - 1 for i in installation]].T
+    force = specific_force(installation, phi, alpha1, alpha2, alpha3, setting)
+    return make_readings(installation, [1] * n, point, phi, force @ K.T + U0 + noise)
 
 
 def free_forces(count: int, rng: np.random.Generator) -> Floats:

@@ -16,13 +16,12 @@ from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_pro
 from bench.analysis.calibration.estimator import Estimator, Task
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.analysis.calibration.free import first_guess_free, triangular
-from bench.analysis.calibration.known import KnownNoise, KnownStand
+from bench.analysis.calibration.known import KnownStand
 from bench.analysis.calibration.linear import linear_estimate
-from bench.analysis.calibration.noise import OF_RESIDUALS
+from bench.analysis.calibration.noise import require_told
 from bench.analysis.calibration.noise_notes import notes_on_noise
 from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import (
-    LEAST_DOF,
     Calibration,
     CalibrationError,
     Estimate,
@@ -34,7 +33,6 @@ from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
-from bench.readings.corrected import VOLTS
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
@@ -60,7 +58,9 @@ def calibrate(
 
     `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`,
     rad, `assumed_u` those that nobody stated: they are in the covariance, and not in that of the readings alone.
-    The sizes of the noise are estimated from the readings unless given as `noise`. Coefficients are per
+    The sizes of the noise are estimated from the readings unless given as `noise`; where the readings leave too few
+    degrees of freedom, "voltmeter_error" (in the unit of the signals) and "setting_error" (rad) in `stand_u` are
+    their prior. Coefficients are per
     local g, stated as `g_m_s2`. With `nominal_angles` the targets stand in for the angles read back. Free
     positions join the oriented rows by |a| = 1 g unless `join_free` is false, verification points where
     `join_verification` says so, for they are the independent check. Where there are free positions alone K is
@@ -82,12 +82,9 @@ def calibrate(
     )
     resolution = (rows if len(rows) else chosen.free).resolution
     start = first_guess(problem, rows.signal, resolution)
-    of_noise = KnownNoise.of_bench(stand_u) if readings.unit == VOLTS else None
-    if known is not None and known.noise is not None:
-        of_noise = known.noise
-    refit = partial(gls.fit, problem, rows.signal, start, noise, resolution, known=of_noise)
+    refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
     fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
-    _refuse_untold_noise(fit.noise, readings.unit)
+    require_told(fit.noise)
     fit_test = gls.lack_of_fit(problem, fit)
     tails = heavy_tails(problem, fit)
     accepted = fit_test.accepted()  # else readings that are far off are off from a wrong model
@@ -267,17 +264,6 @@ def _fitted(
         for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
     )
     return fit, (), notes
-
-
-def _refuse_untold_noise(noise: Noise, unit: str) -> None:
-    """Refuse sizes of the noise that hardly any reading tells and nobody stated: u would be an accident."""
-    if noise.source != OF_RESIDUALS or noise.prior is not None or noise.reading_dof >= LEAST_DOF:
-        return
-    raise CalibrationError(
-        "so few readings tell nothing of their noise, and no size of it counts beside them: measure more points or "
-        + ("passes, or state voltmeter_error in the bench file" if unit == VOLTS else
-           f"passes, or give the signals in V (they are in {unit}, the bench file's voltmeter_error in V)")
-    )
 
 
 def _birge(test: LackOfFit, shared: Shared) -> float:

@@ -22,11 +22,12 @@ from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximi
 from bench.analysis.calibration.repeats_likelihood import DIGITS
 from bench.analysis.calibration.result import Noise, widening
 from bench.base.arrays import CHANNELS, HOUR, Floats, Ints, rms
-from bench.base.looks import holm
 from bench.model.conditions import Conditions
 
 ASKED_P: Final = 0.01
 """Components are taken in where chance alone would ask for any of them less often than this."""
+SOME: Final = 0.2
+"""Where the search for the variance of a component begins, as a part of that of the noise."""
 HARDLY_ANY: Final = 0.01
 """A component whose variance is a smaller part of that of the noise has been taken in by another."""
 MOST_SIGNALS: Final = 1500
@@ -132,29 +133,15 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
         return Shared(fit)
     if fit.noise.reading**2 <= DIGITS * floor**2:  # rounding repeats itself, and stands in no other number
         return Shared(fit)
-    basic, further = _basic(fit), list(_further(conditions, fit))
-    mixed = _mixed(problem, fit, [t.columns for t in (*basic, *further)])
-    start = np.ones(len(basic) + len(further))
-    start[len(basic) :] = 0.0
-    if not fit.noise.setting_rad > 0:
-        start[len(basic) - 1] = 0.0
+    basic = _basic(fit)
     base = len(basic)
-    asked = asked_for(Projection.at(mixed, start), mixed.columns, base, fit.noise.reading_dof)
-    chance, open_to = _of_family(further, asked.chance), _wander(further, asked.expected)
-    kept = np.concatenate([np.ones(base, dtype=bool), chance < ASKED_P])
-    if not np.any(kept[base:]):
-        return Shared(fit, wander=open_to)
-    own = mixed.only(kept)
-    least = np.zeros(int(kept.sum()))
-    least[:3] = np.minimum((floor / fit.noise.by_channel) ** 2, 1.0)
-    theta, _ = maximise(own, np.where(start[kept] > 0, start[kept], 0.2), np.ones(len(least)), least)
+    terms, theta, chance, open_to = _taken_in(problem, fit, basic, list(_further(conditions, fit)), floor)
     theta[base:] = np.where(theta[base:] < HARDLY_ANY, 0.0, theta[base:])
-    at = Projection.at(own, theta)
-    terms = [t for t, k in zip((*basic, *further), kept, strict=True) if k]
-    found = np.concatenate([np.zeros(base), chance])[kept]
     if not np.any(theta[base:] > 0):
         return Shared(fit, wander=open_to)
-    shared = _shared(problem, fit, own, terms, theta, at, found, base, unit)
+    own = _mixed(problem, fit, [t.columns for t in terms])
+    at = Projection.at(own, theta)
+    shared = _shared(problem, fit, own, terms, theta, at, chance, base, unit)
     found_drifts = np.zeros(3)
     for component in shared.components:
         if component.what == DRIFT:  # one run has few degrees of freedom of it
@@ -164,15 +151,50 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
     return replace(shared, wander=np.maximum(wander, rms(wander)))
 
 
-def _of_family(terms: list[_Term], chance: Floats) -> Floats:
-    """Return the probabilities (k,) that chance alone asks for any kind of component as much as for that of each.
+def _taken_in(
+    problem: Problem, fit: Fit, basic: list[_Term], further: list[_Term], floor: float
+) -> tuple[list[_Term], Floats, Floats, Floats]:
+    """Return the terms that are in, their variances and probabilities (k,), and how far biases may wander (3,).
 
-    The channels of a kind are asked together (R. A. Fisher's combination), the kinds as one family (Holm).
+    Kinds of component are one family, which chance alone enters with `ASKED_P`: by Holm's method, stepping down,
+    each is asked for beside those that are in.
+    """
+    terms, left, chance = list(basic), list(further), np.zeros(len(basic))
+    theta = np.ones(len(basic))
+    theta[-1] = float(fit.noise.setting_rad > 0)
+    least = np.minimum((floor / fit.noise.by_channel) ** 2, 1.0)
+    open_to = np.zeros(3)
+    while left:
+        mixed = _mixed(problem, fit, [t.columns for t in (*terms, *left)])
+        at = Projection.at(mixed, np.concatenate([theta, np.zeros(len(left))]))
+        asked = asked_for(at, mixed.columns, len(terms), fit.noise.reading_dof)
+        if len(terms) == len(basic):
+            open_to = _wander(left, asked.expected)
+        what, p = _most_asked(left, asked.chance)
+        if p >= ASKED_P:
+            break
+        new = [t for t in left if t.what == what]
+        left = [t for t in left if t.what != what]
+        terms += new
+        chance = np.concatenate([chance, np.full(len(new), max(p, float(chance.max())))])
+        own, start = _mixed(problem, fit, [t.columns for t in terms]), np.full(len(terms), SOME)
+        start[: len(theta)] = np.where(theta > 0, theta, SOME)
+        at_least = np.concatenate([least, np.zeros(len(terms) - 3)])
+        theta, _ = maximise(own, start, np.ones(len(terms)), at_least)
+    return terms, theta, chance, open_to
+
+
+def _most_asked(terms: list[_Term], chance: Floats) -> tuple[str, float]:
+    """Return the kind that is asked for most, and the probability that chance alone asks for any as much.
+
+    The channels of a kind are asked for together (Fisher's combination of their probabilities).
     """
     kinds = list(dict.fromkeys(t.what for t in terms))
     of = np.array([kinds.index(t.what) for t in terms], dtype=np.int64)
     surprise = np.bincount(of, -2.0 * np.log(np.maximum(chance, 1e-300)))
-    return holm(special.chdtrc(2.0 * np.bincount(of), surprise))[of]
+    of_kind = special.chdtrc(2.0 * np.bincount(of), surprise)
+    most = int(np.argmin(of_kind))
+    return kinds[most], min(len(kinds) * float(of_kind[most]), 1.0)
 
 
 def _wander(terms: list[_Term], variances: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.calibration.known import KnownStand
+from bench.analysis.calibration.known import KnownNoise, KnownStand
 from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.model.block import Block
 from bench.model.conditions import Conditions
@@ -96,7 +96,7 @@ class Problem:
 
     `free` are readings that join by the modulus alone; `upper` fixes K as upper triangular, which a fit to
     free readings alone needs. `hang` (q, q) is the lower root of the correlation of the priors, None where each
-    stands by itself.
+    stands by itself. `noise` is what is known of the sizes of the noise beside the readings, None where nothing is.
     """
 
     model: ForwardModel
@@ -106,6 +106,7 @@ class Problem:
     free: FreeRows | None = None
     upper: bool = False
     hang: Floats | None = None
+    noise: KnownNoise | None = None
 
     @property
     def active(self) -> Ints:
@@ -320,11 +321,12 @@ def make_problem(
     Its shapes (`Parameter.is_shape`) are not: they stay as the model has them. What a level showed of a mounting
     stands in place of the size that the bench file states.
 
-    `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad. The prior of an effect's
+    `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad, and of the noise where it is stated:
+    "setting_error" (rad) and "voltmeter_error" (in the unit of the signals). The prior of an effect's
     parameter lies about the value in the model with the standard uncertainty stated there, which must come
     from other readings than those to be fitted; where none (or zero) is stated, with `WEAK` times the
     catalogue's plausible size. `known` is what other runs told of the stand's angles: it stands in place of
-    `stand_u`, where no level showed the angle.
+    `stand_u`, where no level showed the angle, and what they told of the noise in place of what is stated.
     """
     levels = conditions.levels()
     stand = tuple(
@@ -338,7 +340,9 @@ def make_problem(
     effects = [
         unknown for index, applied in enumerate(model.effects) for unknown in _effect_unknowns(index, applied)
     ]
-    problem = Problem(model, conditions, stand, tuple(effects), free, upper=len(conditions) == 0)
+    noise = KnownNoise.of_bench(stand_u) if known is None or known.noise is None else known.noise
+    upper = len(conditions) == 0
+    problem = Problem(model, conditions, stand, tuple(effects), free, upper=upper, noise=noise)
     return problem if known is None else _with_known(problem, known)
 
 

@@ -17,7 +17,6 @@ from scipy import linalg, special
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem
 from bench.analysis.calibration.estimator import Estimator
 from bench.analysis.calibration.free import NO_MODULI, Modulus, modulus_rows
-from bench.analysis.calibration.known import KnownNoise
 from bench.analysis.calibration.noise import (
     LEAST_REPEATS,
     RepeatedNoise,
@@ -102,15 +101,12 @@ def fit(
     shifts: tuple[Shift, ...] = (),
     *,
     one_size: bool = False,
-    known: KnownNoise | None = None,
 ) -> Fit:
     """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
 
     Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
     Each of `shifts` is an unknown more, of which nothing is known before. With `one_size` the channels have noise
-    of one size, without each its own where they differ. `known` is what
-    other runs told of the noise. Raises `CalibrationError` where the fit does not come to
-    rest.
+    of one size, without each its own where they differ. Raises `CalibrationError` where the fit does not converge.
     """
     block, others = start, problem.prior_mean
     floor = noise_floor(signal, resolution, problem.free)
@@ -124,9 +120,9 @@ def fit(
         elif moved > NEARLY_STILL and iteration < ESTIMATIONS:
             of_repeats = repeats.sizes(system.left, system.slope)
             if of_repeats is None:
-                sizes = estimate_noise(problem, system, groups, others, floor, known)
+                sizes = estimate_noise(problem, system, groups, others, floor)
             else:
-                sizes = of_repeats if known is None else known.joined(of_repeats)
+                sizes = of_repeats if problem.noise is None else problem.noise.joined(of_repeats)
         own = solve(problem, system, sizes.widened(), others)
         step = np.zeros(FIXED + len(others))
         step[places.unknowns] = own.step[places.own]
@@ -145,14 +141,15 @@ def fit(
 
 
 def _not_converged(problem: Problem, system: System, unknown: int, moved: float) -> CalibrationError:
-    """Say that a fit did not converge, what still moved (times its standard uncertainty), and what it leaves."""
+    """Say that a fit did not converge, what still moved, and what it leaves."""
     names = (*COEFFICIENTS, *problem.names())
     left = rms(system.left) if len(system.left) else rms(system.free.left)
     unit = "" if len(system.left) else " g"
     return CalibrationError(
-        f"the fit did not converge: after {MOST_ITERATIONS} steps {names[unknown]} still moves by {moved:.2g} of its "
-        f"standard uncertainty, and the readings are {left:.2g}{unit} from the model (root mean square); look for "
-        "rows of another installation, another block or another unit, and for an effect that they do not determine"
+        f"the fit did not converge: after {MOST_ITERATIONS} steps {names[unknown]} still moves by {moved:.2g} of "
+        f"its standard uncertainty, and the model leaves {left:.2g}{unit} of the readings (root mean square); look "
+        "for rows of another installation, another block or another unit, and for an effect that they do not "
+        "determine"
     )
 
 
@@ -295,14 +292,12 @@ def _result(
     )  # fmt: skip
 
 
-def estimate_noise(
-    problem: Problem, system: System, groups: Ints, others: Floats, floor: float, known: KnownNoise | None = None
-) -> Noise:
+def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
     """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals.
 
-    What is `known` of the sizes counts beside either.
+    What the problem knows of the sizes counts beside the latter.
     """
-    left, slope, free = system.left, system.slope, system.free
+    left, slope, free, known = system.left, system.slope, system.free, problem.noise
     if len(left):
         scatter = scatter_of_repeats(left, slope, groups)
         if scatter.settings >= LEAST_REPEATS:

@@ -1,4 +1,4 @@
-"""What other runs of the same bench told before these readings: the stand's angles, the sizes of the noise.
+"""What is known before these readings: by other runs of the same bench the stand's angles, and the noise.
 
 An angle of a mounting is what it is in the mean of all mountings, of which the mean is known with a covariance, and
 its own departure from it, as large as remounting makes it. Angles of one run hang together by the mean.
@@ -40,14 +40,14 @@ class KnownNoise:
 
     @classmethod
     def of_bench(cls, sizes: Mapping[str, float]) -> KnownNoise | None:
-        """Return what a bench file's sizes by name (V, rad) say; None where it states no noise of the voltmeter."""
+        """Return what a bench file's sizes by name say; None where it states no noise of the voltmeter."""
         reading, setting = sizes.get("voltmeter_error", 0.0), sizes.get("setting_error", 0.0)
         if not reading > 0.0:
             return None
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return what counts beside a fit that leaves so many signals free; None where they tell the noise alone."""
+        """Return what counts beside a fit that leaves so many signals free; None where they suffice."""
         if not self.stated:
             return self
         lacking = LEAST_DOF * (1.0 - max(signals, 0.0) / LEAST_SIGNALS)

@@ -16,7 +16,7 @@ from scipy import special
 
 from bench.analysis.calibration.known import CONTRADICTS_P, LEAST_SIGNALS, KnownNoise
 from bench.analysis.calibration.repeats_likelihood import believed_sizes
-from bench.analysis.calibration.result import Noise, NoisePrior
+from bench.analysis.calibration.result import LEAST_DOF, CalibrationError, Noise, NoisePrior
 from bench.base.arrays import Floats, Ints, least_squares, rms, unit_vectors
 from bench.model.conditions import Conditions
 
@@ -159,8 +159,8 @@ class Residuals:
     """What the model leaves, for the restricted likelihood of the two sizes of the noise.
 
     `columns` (n, 3, p + 1) are the derivatives by the unknowns, and the response last; those from `fixed` on are
-    random effects scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are the same
-    of moduli, in the unit of the signal: they have the reading noise alone.
+    random effects scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are the
+    same of moduli, in the unit of the signal: they have the reading noise alone.
     """
 
     columns: Floats
@@ -176,7 +176,7 @@ class Residuals:
     @property
     def unknowns(self) -> int:
         """Coefficients and random effects, p."""
-        return self.columns.shape[2] - 1
+        return int(self.columns.shape[2]) - 1
 
     @cached_property
     def steepness(self) -> float:
@@ -201,7 +201,7 @@ class Residuals:
         return np.einsum("nip,ni->np", self.columns, unit), length
 
     def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
-        """Return -2 log L, its derivatives by the logarithms of the two sizes, and y^T P y, which is part of it."""
+        """Return -2 log L, its derivatives by the logarithms of the two sizes, and y^T P y, a part of it."""
         along, length = self._along
         p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)
@@ -241,15 +241,27 @@ def noise_from_residuals(of: Residuals, floor: float, known: KnownNoise | None =
     return _most_likely(of, floor, prior)
 
 
+def require_told(noise: Noise) -> None:
+    """Refuse sizes of the noise that hardly any reading tells and nobody stated: u would be an accident."""
+    if noise.source == OF_RESIDUALS and noise.prior is None and noise.reading_dof < LEAST_DOF:
+        raise CalibrationError(
+            "so few readings tell nothing of their noise, and nobody stated it in the unit of the signals: measure "
+            "more points or passes, or give signals in V and voltmeter_error in the bench file"
+        )
+
+
 def _prior(of: Residuals, known: KnownNoise, floor: float) -> NoisePrior:
-    """Return what is known, compared with the residuals: y^T P y over its degrees of freedom has an F distribution."""
+    """Return what is known beside the residuals: their y^T P y is chi-square if it holds, F about an estimate."""
     reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
     prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
     if freedom <= 0:
         return prior
     sizes = [reading, max(known.setting_rad, LEAST_SETTING * reading / of.steepness)]
     ratio = of.likelihood(np.log(sizes))[2] / freedom
-    above = float(special.fdtrc(freedom, known.dof, ratio))
+    if known.stated:
+        above = float(special.chdtrc(freedom, freedom * ratio))
+    else:
+        above = float(special.fdtrc(freedom, known.dof, ratio))
     return replace(prior, ratio=float(np.sqrt(ratio)), p=2.0 * min(above, 1.0 - above))
 
 

@@ -8,6 +8,7 @@ from typing import Final
 from bench.analysis.calibration.components import ANGLE, DRIFT, Component, Shared
 from bench.analysis.calibration.result import Noise, NoisePrior
 from bench.base.arrays import ARCSEC, CHANNELS
+from bench.base.numbers import scale_for
 
 UNEQUAL_P: Final = 0.001
 """Channels of different noise, and heavy tails, are told from here on: not in every hundredth run."""
@@ -25,7 +26,7 @@ _SHARED_BY: Final = {
 
 def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, unit: str) -> tuple[str, ...]:
     """Return the sentences; `tails` is the probability of such tails, `birge` by how much u was widened."""
-    notes = [] if noise.prior is None else [_on_prior(noise.prior, unit)]
+    notes = [*note_on_prior(noise, unit)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
         notes.append(f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own")
@@ -48,19 +49,24 @@ def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, uni
     return tuple(notes)
 
 
+def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
+    """Say where u rests on a statement, and whether the readings agree with it."""
+    return () if noise.prior is None else (_on_prior(noise.prior, unit),)
+
+
 def _on_prior(prior: NoisePrior, unit: str) -> str:
-    """Say that u rests on a statement, and whether the readings agree with it."""
     where = "the bench file states" if prior.stated else "other runs told"
+    scale = scale_for(prior.reading, unit)
     rests = (
-        f"u rests on the sizes of the noise that {where} (reading {prior.reading:.2g} {unit}, setting "
-        f"{prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
+        f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
+        f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
     )
     if not prior.readings_dof > 0:
-        return f"{rests}: so few readings leave nothing over to tell the noise, not even whether that is so"
+        return f"{rests}: so few readings leave nothing over that would show the noise"
     scatter = f"they scatter {prior.ratio:.2g} times as much"
     if prior.p < DISAGREES_P:
-        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points, or mend the statement"
-    return f"{rests}, for the readings alone tell little of it: {scatter} (p = {prior.p:.2g})"
+        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
+    return f"{rests}: so few readings show little of it, and {scatter} (p = {prior.p:.2g})"
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:

@@ -64,7 +64,7 @@ class NoisePrior:
     """Sizes of the noise that were stated before the readings, and count beside them.
 
     Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
-    `setting_rad`, 1 sigma, with `dof` degrees of freedom. `readings_dof` are those that the readings have beside it;
+    `setting_rad`, 1 sigma, with `dof` degrees of freedom. `readings_dof` are those that the readings leave;
     `ratio` is how many times the stated noise they scatter, with the two-sided probability `p` of being so far from
     1 (NaN where they leave no degree of freedom). Sizes that are not `stated` are those of other runs.
     """

@@ -13,6 +13,8 @@ from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.calibrate import usable_rows
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.gls import noise_floor
+from bench.analysis.calibration.noise import require_told
+from bench.analysis.calibration.noise_notes import note_on_prior
 from bench.analysis.calibration.result import CalibrationError, LackOfFit
 from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judge, row_outputs
 from bench.analysis.temperature.model import PlateauResult, TemperatureModel, ThermalHysteresis
@@ -79,6 +81,7 @@ def temperature_model(
     sides = body.sorted.branch / 2.0 * body.sorted.both_sides
     basis = np.column_stack([body.powers(highest), sides] if by_side else [body.powers(highest)])
     full = fit(body.task(basis))
+    require_told(full.noise)
     if degree is None:
         choice = choose_degrees(full, highest)
     else:
@@ -107,7 +110,7 @@ def temperature_model(
         curve=None if free is None else _curve(best, free),
         readings=len(body.sorted.rows),
         skipped=len(body.sorted.rows.skipped),
-        notes=_notes(body, plateaus, by_side),
+        notes=(*_notes(body, plateaus, by_side), *note_on_prior(full.noise, body.sorted.rows.unit)),
     )
 
 

@@ -16,6 +16,7 @@ from bench.analysis.calibration import gls
 from bench.analysis.calibration.calibrate import first_guess, usable_rows
 from bench.analysis.calibration.derived import MISALIGNMENTS
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
+from bench.analysis.calibration.noise import require_told
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
 from bench.analysis.tumble.terms import (
     DEFAULT,
@@ -183,6 +184,7 @@ def tumble_view(
     judged = tuple(separable(force, channel, terms, conditions) for channel in range(3))
     problem = _problem(plain, make_problem(with_terms(plain, terms), conditions, sizes), judged)
     fit = gls.fit(problem, rows.signal, start, noise, rows.resolution)
+    require_told(fit.noise)
     fit_test = replace(gls.lack_of_fit(problem, fit), rms=rms(fit.residuals))
     axes, through = _quantities(problem, fit, judged, readings.unit)
     whole = through @ fit.covariance @ through.T

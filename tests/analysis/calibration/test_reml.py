@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import special
 
 from bench.analysis.calibration.components import walk_since
 from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximise
@@ -41,23 +42,24 @@ def test_what_is_not_there_is_nothing():
 
 
 def test_a_component_that_is_there_is_asked_for_and_one_that_is_not_as_seldom_as_is_said():
-    """400 draws, seeds [9, k]: p below 0.05 in 5 %, to four standard errors."""
-    chance = []
-    for seed in range(400):
-        mixed = one_way([9, seed], 0.0, 1.0)
-        base = mixed.only(np.array([True, False]))
-        chance.append(asked_for(Projection.at(base, np.ones(1)), mixed.columns, 1).chance[0])
-    assert np.mean(np.array(chance) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 400))
-    there = one_way(10, 2.0, 1.0)
-    base = there.only(np.array([True, False]))
-    assert asked_for(Projection.at(base, np.ones(1)), there.columns, 1).chance[0] < 1e-6
+    """With the size within estimated from the repeats: p of the analysis of variance, far into its tail."""
+    dof = GROUPS - 1, GROUPS * (REPEATS - 1)
+    for seed, between in ((9, 0.0), (9, 0.7), (10, 2.0)):
+        mixed = one_way(seed, between, 1.0)
+        cells = mixed.y.reshape(GROUPS, REPEATS)
+        within = np.sum((cells - cells.mean(axis=1, keepdims=True)) ** 2) / dof[1]
+        at = Projection.at(mixed.only(np.array([True, False])), np.array([within]))
+        ratio = REPEATS * np.var(cells.mean(axis=1), ddof=1) / within
+        found = asked_for(at, mixed.columns, 1, dof[1]).chance[0]
+        assert found == pytest.approx(special.fdtrc(*dof, ratio), rel=1e-6)
+    assert found < 1e-6
 
 
 def test_what_the_readings_leave_open_is_the_mean_over_its_likelihood():
     """One-way layout, within known to be 1: the mean of the variance between over the likelihood, by quadrature."""
     mixed = one_way(11, 0.6, 1.0)
     base = mixed.only(np.array([True, False]))
-    found = asked_for(Projection.at(base, np.ones(1)), mixed.columns, 1).expected[0]
+    found = asked_for(Projection.at(base, np.ones(1)), mixed.columns, 1, np.inf).expected[0]
     between = np.sum((mixed.y.reshape(GROUPS, REPEATS).mean(axis=1) - mixed.y.mean()) ** 2) * REPEATS
     theta = np.linspace(0.0, 6.0, 4001)
     size = 1.0 + REPEATS * theta
