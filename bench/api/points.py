@@ -11,6 +11,7 @@ import numpy as np
 
 from bench.analysis.budget.setup import meters_of
 from bench.analysis.budget.sources import assumed_stand, signed_sources
+from bench.analysis.calibration.known import KnownStand
 from bench.analysis.planning.goals import (
     Goal,
     coefficient_goals,
@@ -47,16 +48,15 @@ class PaperPoints:
     u: dict[str, float]
 
 
-def planning_stand(bench: BenchFile) -> Stand:
-    """Return the bench as a plan for it sees it, with everything that a calibration signs.
+def stand_of(bench: BenchFile, model: ForwardModel, known: KnownStand | None = None) -> Stand:
+    """Return the bench as a plan for it sees it, with everything that a calibration signs; `known` was learned.
 
     Raises `CalibrationError` for a bench file that states no noise.
     """
-    model = ForwardModel(bench.installation_models())
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, utc_now().date())
     meters = meters_of([meter.channels for meter in bench.instruments.voltmeters])
-    return Stand(model, bench.simulated_block(), sizes, hidden=hidden, meters=meters)
+    return Stand(model, bench.simulated_block(), sizes, known, hidden, meters)
 
 
 def stated_goals(

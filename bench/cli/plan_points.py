@@ -89,11 +89,12 @@ def plan_points(
     from bench.analysis.planning.settings import Cost
     from bench.api import points as api
     from bench.api.taken import find_bench_file
+    from bench.model import ForwardModel
     from bench.readings.table import VERIFICATION
 
     taken = find_bench_file(bench)
     file = taken.file
-    stand = api.planning_stand(file)
+    stand = api.stand_of(file, ForwardModel(file.installation_models()))
     verified = verify and VERIFICATION in stand.model.installations
     goals = api.stated_goals(stand, file, tuple(u or ()), delta_g, modulus, up_to)
     times = api.stated_times(cost_setting, cost_remount, cost_soak, warm_up)
@@ -201,6 +202,6 @@ def _to_json(
             for s in points.settings()
         ],
         "lack_of_fit_tested": points.fit_is_tested,
-        "covariance": points.promise.combined.tolist(),
+        "covariance": points.covariance.tolist(),
         "procedure": None if procedure is None else str(procedure),
     }

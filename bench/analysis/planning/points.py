@@ -38,8 +38,12 @@ from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardMo
 WITHOUT_NOISE: Final = 1e-4
 """The noise of endlessly many readings, as a part of that of one."""
 _PARTS_TOLD: Final = 3
-_ROUNDS: Final = 4
+_PART_NAMED: Final = 0.01
+"""Of what no reading lowers so many parts are named, those with more than this part of the largest variance."""
+_ROUNDS: Final = 8
 """Searches until the goals are reached with the noise that repeats and residuals will really tell."""
+_STEP: Final = 1.3
+"""By so much less variance at least is asked for in the next search."""
 
 
 @dataclass(frozen=True)
@@ -232,6 +236,11 @@ class Points:
     cost: Cost
 
     @property
+    def covariance(self) -> Floats:
+        """Covariance (12, 12) of the coefficients, as a calibration will sign it."""
+        return self.promise.combined
+
+    @property
     def count(self) -> int:
         """How many settings there are."""
         return sum(sum(angles.values()) for angles in self.visits.values())
@@ -306,7 +315,7 @@ def cheapest(
 
     Raises `CalibrationError` where no choice of mountings reaches them, with the reason.
     """
-    floored = list(stand.promise(sites.settings(range(len(sites.mounts))), goals).goals)
+    goals, floored = _floored(stand, sites, goals)
     tightened, wider2 = floored, 1.0
     for _ in range(_ROUNDS):
         found = _cheapest(sites, tightened, cost, most_settings, most_mounts)
@@ -315,9 +324,27 @@ def cheapest(
         points = _points(stand, sites, *found, goals, cost)
         if points.reached:
             return points
-        wider2 *= max(goal.part(points.promise.readings) for goal in points.promise.goals)
-        tightened = [goal.tightened(wider2) for goal in points.promise.goals]
+        wider2 *= max(
+            _STEP,
+            *(
+                (points.u(goal) ** 2 - least.floor) / (least.asked**2 - least.floor)
+                for goal, least in zip(points.promise.goals, floored, strict=True)
+            ),
+        )
+        tightened = [least.tightened(wider2) for least in floored]
     raise CalibrationError(_unreachable(stand, sites, floored, most_settings, most_mounts))
+
+
+def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
+    """Return the goals, and with the floors of readings everywhere: at few points more goes through."""
+    everywhere = sites.settings(range(len(sites.mounts)))
+    try:
+        endless = stand.budget([*everywhere, *checks_of(goals)], WITHOUT_NOISE)
+        parts = parts_of_goals(goals, endless)
+        asked = [g.relaxed(sum(own.values())) for g, own in zip(goals, parts, strict=True)]
+        return asked, list(stand.promise(everywhere, asked).goals)
+    except CalibrationError:
+        return list(goals), list(goals)  # all of them together determine no block: no choice of them will
 
 
 def _cheapest(
@@ -345,7 +372,7 @@ def best_within(
     """
     best: tuple[float, _Found] | None = None
     least_s = math.inf
-    floored = stand.promise(sites.settings(range(len(sites.mounts))), goals).goals
+    goals, floored = _floored(stand, sites, goals)
     for chosen in tracked(list(sites.choices(most_mounts)), "choices of mountings"):
         candidates = sites.candidates(chosen)
         whole = ExchangeDesign(candidates, floored)
@@ -392,7 +419,11 @@ def _unreachable(
     left = zip(goals, parts_of_goals(goals, budget), strict=True)
     goal, parts = max(left, key=lambda one: sum(one[1].values()) / one[0].asked ** 2)
     largest = sorted(parts.items(), key=lambda part: -part[1])[:_PARTS_TOLD]
-    told = ", ".join(f"{name} {1e6 * math.sqrt(variance):.3g} µ{goal.unit}" for name, variance in largest)
+    told = ", ".join(
+        f"{name.replace('_', ' ')} {1e6 * math.sqrt(variance):.3g} µ{goal.unit}"
+        for name, variance in largest
+        if variance > _PART_NAMED * largest[0][1]
+    )
     return (
         f"cannot be reached by any number of settings: in the best choice of mountings ({names}) what no reading "
         f"lowers is {ratio:.3g} times what is asked; most of it for {goal.name}: {told}; better these, or allow "
