@@ -25,25 +25,26 @@ from bench.analysis.planning.exchange import (
     ExchangeDesign,
     SettingPool,
     best_of,
+    even,
     fewest,
     least_settings,
     widening,
 )
 from bench.analysis.planning.goals import Goal, worst
 from bench.analysis.planning.settings import Cost, Setting, conditions_of
-from bench.base.arrays import HOUR, Floats
+from bench.base.arrays import HOUR, Floats, Ints
 from bench.base.progress import tracked
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mounting
 
 WITHOUT_NOISE: Final = 1e-4
 """The noise of endlessly many readings, as a part of that of one."""
+_EVENLY_MOST: Final = 4
+"""Settings are spread evenly over so many times those that a search found."""
 _PARTS_TOLD: Final = 3
 _PART_NAMED: Final = 0.01
 """Of what no reading lowers so many parts are named, those with more than this part of the largest variance."""
-_ROUNDS: Final = 8
+_ROUNDS: Final = 4
 """Searches until the goals are reached with the noise that repeats and residuals will really tell."""
-_STEP: Final = 1.3
-"""By so much less variance at least is asked for in the next search."""
 
 
 @dataclass(frozen=True)
@@ -321,15 +322,16 @@ def cheapest(
         found = _cheapest(sites, tightened, cost, most_settings, most_mounts)
         if found is None:
             break
-        points = _points(stand, sites, *found, goals, cost)
+        chosen, design = found
+        points = _points(stand, sites, chosen, design.counts, goals, cost)
+        if not points.reached:
+            most = min(_EVENLY_MOST * points.count, most_settings)
+            points = _evenly(stand, sites, chosen, range(points.count, most + 1), goals, cost) or points
         if points.reached:
             return points
         wider2 *= max(
-            _STEP,
-            *(
-                (points.u(goal) ** 2 - least.floor) / (least.asked**2 - least.floor)
-                for goal, least in zip(points.promise.goals, floored, strict=True)
-            ),
+            (points.u(goal) ** 2 - least.floor) / (least.asked**2 - least.floor)
+            for goal, least in zip(points.promise.goals, floored, strict=True)
         )
         tightened = [least.tightened(wider2) for least in floored]
     raise CalibrationError(_unreachable(stand, sites, floored, most_settings, most_mounts))
@@ -345,6 +347,23 @@ def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Go
         return asked, list(stand.promise(everywhere, asked).goals)
     except CalibrationError:
         return list(goals), list(goals)  # all of them together determine no block: no choice of them will
+
+
+def _evenly(
+    stand: Stand,
+    sites: Sites,
+    chosen: Sequence[int],
+    settings: Iterable[int],
+    goals: Sequence[Goal],
+    cost: Cost,
+) -> Points | None:
+    """Return the fewest evenly spread settings that reach all goals.
+
+    The search knows what readings lower. Of what they do not, as K2 and K3, less goes through even points.
+    """
+    candidates = sites.candidates(chosen)
+    made = (_points(stand, sites, chosen, even(candidates, len(chosen), n), goals, cost) for n in settings)
+    return next((points for points in made if points.reached), None)
 
 
 def _cheapest(
@@ -387,7 +406,10 @@ def best_within(
             best = design.largest, (chosen, design)
     if best is None:
         raise CalibrationError(_too_short(time_s, least_s))
-    return _points(stand, sites, *best[1], goals, cost)
+    chosen, design = best[1]
+    spread = even(sites.candidates(chosen), len(chosen), design.settings)
+    made = [_points(stand, sites, chosen, counts, goals, cost) for counts in (design.counts, spread)]
+    return min(made, key=lambda points: points.u(points.worst) / points.worst.asked)
 
 
 def _too_short(time_s: float, least_s: float) -> str:
@@ -435,12 +457,12 @@ def _points(
     stand: Stand,
     sites: Sites,
     chosen: Sequence[int],
-    design: ExchangeDesign,
+    visited: Ints,
     goals: Sequence[Goal],
     cost: Cost,
 ) -> Points:
     """The chosen points in order, with their covariance as the estimator itself has it."""
-    counts = design.counts.reshape(len(chosen), len(sites.angle_rad))
+    counts = visited.reshape(len(chosen), len(sites.angle_rad))
     visits = {
         sites.mounts[m]: {float(sites.angle_rad[i]): int(row[i]) for i in np.flatnonzero(row)}
         for m, row in zip(chosen, counts, strict=True)
