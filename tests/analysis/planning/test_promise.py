@@ -62,7 +62,7 @@ def test_what_is_promised_is_what_is_signed(name, procedure):
     """To 1 %, of each coefficient and of delta g: readings without errors, noise as the plan widens it."""
     bench = BENCHES[name]()
     model = ForwardModel(bench.installation_models())
-    stand = stand_of(bench, model)
+    stand = stand_of(bench, model, day=utc_now().date())
     settings = fitted(settings_of(load_procedure(find_procedure(procedure)).plan))
     goals = [*coefficient_goals({"all": 1e-4}), *delta_g_of(stand, 1e-3, "--delta-g")]
     promise = stand.promise(settings, goals)
