@@ -53,7 +53,9 @@ def goals_of(stand: Stand, covariance: Floats) -> dict[str, list[Goal]]:
 
 def told(found: Points) -> str:
     mounts = ", ".join(str(mount) for mount in found.visits)
-    return f"{found.count:4d} settings in {mounts}: {found.u(found.worst) / found.worst.asked:.3f} of what was asked"
+    return (
+        f"{found.count:4d} settings in {mounts}: {found.worst.ratio(found.covariance):.3f} of what was asked"
+    )
 
 
 def compare(name: str, stand: Stand, sites: Sites) -> None:
@@ -67,7 +69,7 @@ def compare(name: str, stand: Stand, sites: Sites) -> None:
           f"gls {vector.u(own) * 1e6:.1f} µg")  # fmt: skip
     for what, goals in goals_of(stand, own).items():
         best = best_within(stand, sites, goals, COUNTED, COUNTED.total_s(len(settings), 2), 2)
-        ratio = best.u(best.worst) / best.worst.asked
+        ratio = best.worst.ratio(best.covariance)
         print(f"  {what}: the best {best.count} settings give {ratio:.3f} of the paper's by gls")
     for reference, covariance in (("gls", own), ("the closed form", closed)):
         for what, goals in goals_of(stand, covariance).items():

@@ -139,6 +139,7 @@ def show(case: str, parts: list[tuple[Floats, ...]], runs: int) -> list[str]:
     print(f"\n{case}: {runs} runs")
     for what, values in (("z, combined", z), ("z, readings", z_readings), ("coverage", covered)):
         print(f"  {what:12}" + " ".join(f"{v:6.3f}" for v in values))
+    print(f"  coverage of all {np.mean(covered):.3f}, the worst {np.min(covered):.3f}")
     print(f"  {'z, delta g':12}" + " ".join(f"{v:6.3f}" for v in z_dg))
     least = float(stats.binom.ppf(0.001, runs, 0.945)) / runs
     broken = [

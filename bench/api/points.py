@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from bench.analysis.budget.setup import meters_of
 from bench.analysis.budget.sources import assumed_stand, signed_sources
+from bench.analysis.calibration.known import KnownStand
 from bench.analysis.planning.goals import (
     Goal,
     coefficient_goals,
@@ -34,7 +36,6 @@ from bench.procedure.check import check as check_against
 from bench.procedure.load import load_procedure
 from bench.readings.table import UNORIENTED, VERIFICATION
 from bench.run.sentences import duration
-from drivers.clock import utc_now
 
 _COMPARED: Final = "paper"
 
@@ -47,16 +48,18 @@ class PaperPoints:
     u: dict[str, float]
 
 
-def planning_stand(bench: BenchFile) -> Stand:
+def stand_of(
+    bench: BenchFile, model: ForwardModel, known: KnownStand | None = None, day: datetime.date | None = None
+) -> Stand:
     """Return the bench as a plan for it sees it, with everything that a calibration signs.
 
+    `known` is what was learned of it, `day` that of the readings: what a certificate states has drifted by then.
     Raises `CalibrationError` for a bench file that states no noise.
     """
-    model = ForwardModel(bench.installation_models())
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
-    hidden = signed_sources(bench, model, utc_now().date())
+    hidden = signed_sources(bench, model, day)
     meters = meters_of([meter.channels for meter in bench.instruments.voltmeters])
-    return Stand(model, bench.simulated_block(), sizes, hidden=hidden, meters=meters)
+    return Stand(model, bench.simulated_block(), sizes, known, hidden, meters)
 
 
 def stated_goals(

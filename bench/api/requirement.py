@@ -145,14 +145,17 @@ def requirements(
     target, unit, kind = _target(of, up_to, file, reading=reading)
     limit = quantity("--accuracy", accuracy, kind)
     every = bench_sources(file, setup, utc_now().date())
+    if of in COEFFICIENTS:
+        every = tuple(s for s in every if s.name != "gravity")  # coefficients are stated per local g
     sources = every if every_source else tuple(s for s in every if s.group == "stand")
     asked = Requirement(setup, sources, estimator, target, limit, k)
     names = [s.name for s in sources if s.u > 0]
     balanced, unbalanced = _balanced(asked, names, _costs(share, costs, names))
     left_out = []
     if not every_source:
+        gravity = "" if of in COEFFICIENTS else "gravity, "
         left_out.append(
-            "what no reading shows (gain, gravity, temperature, nonlinearity of the block: --all-errors)"
+            f"what no reading shows (gain, {gravity}temperature, nonlinearity of the block: --all-errors)"
         )
     if not (reading or of in COEFFICIENTS):
         left_out.append("the reading in use (--with-reading)")

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.analysis.budget.sources import assumed_stand, hidden_sources, stand_sources
+from bench.analysis.budget.sources import assumed_stand
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.planning.goals import Goal, coefficient_goals, modulus_goals, vector_goal, whole_goal
 from bench.analysis.planning.points import Stand
@@ -33,7 +33,7 @@ from bench.analysis.planning.until.pool import Pool, Site, pool_of
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.errors import Refused
 from bench.api.learned import NOTHING, LearnedTaken, learned_for_run, with_effects
-from bench.api.points import delta_g_of
+from bench.api.points import delta_g_of, stand_of
 from bench.api.quantities import named, quantity
 from bench.api.source import Request, load_sources
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
@@ -128,17 +128,21 @@ def chooser_of(
 
     Raises `Refused`: also for a goal that no reading can reach.
     """
-    assumed = {name: size.u for name, size in assumed_stand(bench).items() if _is_told(name, learned)}
-    sizes = {name: d.u for name, d in bench.stand_distributions().items()} | assumed
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
-        stand = Stand(model, bench.simulated_block(), sizes, learned.known)
+        whole = stand_of(bench, model, learned.known)
+        # of an angle whose size nobody stated the readings' own uncertainty holds nothing
+        silent = {name for name in assumed_stand(bench) if not _is_told(name, learned)}
+        stated = {name: u for name, u in whole.sizes.items() if name not in silent}
+        stand = replace(whole, sizes=stated, hidden=())
         aim = stated_aim(texts, stand, bench)
         pool = pool_of(plan, bench.line_frequency)
-        hidden = [] if not any(w.combined for w in aim.wanted) else _hidden(bench, model, learned)
-        _refuse_below_floor(floors(aim, stand, pool, hidden))
+        # where it is asked for, points that show such an angle are worth their time
+        by = replace(whole, hidden=()) if all(w.combined or w.goal.loose for w in aim.wanted) else stand
+        aim = with_hidden(aim, by, whole, pool)
+        _refuse_below_floor(floors(aim, stand, whole, pool))
         _refuse_too_short(aim, pool)
-        return Chooser(pool, with_hidden(aim, stand, pool, hidden), stand)
+        return Chooser(pool, aim, by)
     except CalibrationError as reason:
         raise Refused(f"--until {', '.join(texts)}: {reason}") from None
 
@@ -146,13 +150,6 @@ def chooser_of(
 def _is_told(name: str, learned: LearnedTaken) -> bool:
     """Whether a size of the stand that nobody stated was learned."""
     return learned.known is not None and name in {kind for kind, _ in learned.known.keys}
-
-
-def _hidden(bench: BenchFile, model: ForwardModel, learned: LearnedTaken) -> list[Any]:
-    """What is in the combined uncertainty beside what readings show; coefficients are per local g."""
-    assumed = [name for name in assumed_stand(bench) if not _is_told(name, learned)]
-    own = [source for source in stand_sources(bench) if source.name in assumed]
-    return [*own, *(source for source in hidden_sources(bench, model) if source.name != "gravity")]
 
 
 def _refuse_below_floor(found: Sequence[Floor]) -> None:

@@ -30,7 +30,9 @@ def plan_points(
     u: Annotated[
         list[str] | None,
         typer.Option(
-            "--u", metavar="NAME=U", help="Standard uncertainty asked for: Kyx=20e-6 (V/g), U0, K, all."
+            "--u",
+            metavar="NAME=U",
+            help="Combined standard uncertainty asked for: Kyx=90e-6 (V/g), U0, K, all.",
         ),
     ] = None,
     delta_g: Annotated[
@@ -89,11 +91,13 @@ def plan_points(
     from bench.analysis.planning.settings import Cost
     from bench.api import points as api
     from bench.api.taken import find_bench_file
+    from bench.model import ForwardModel
     from bench.readings.table import VERIFICATION
+    from drivers.clock import utc_now
 
     taken = find_bench_file(bench)
     file = taken.file
-    stand = api.planning_stand(file)
+    stand = api.stand_of(file, ForwardModel(file.installation_models()), day=utc_now().date())
     verified = verify and VERIFICATION in stand.model.installations
     goals = api.stated_goals(stand, file, tuple(u or ()), delta_g, modulus, up_to)
     times = api.stated_times(cost_setting, cost_remount, cost_soak, warm_up)
@@ -201,6 +205,6 @@ def _to_json(
             for s in points.settings()
         ],
         "lack_of_fit_tested": points.fit_is_tested,
-        "covariance": points.promise.combined.tolist(),
+        "covariance": points.covariance.tolist(),
         "procedure": None if procedure is None else str(procedure),
     }

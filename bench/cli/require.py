@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _MICRO: Final = 1e-6
 _SHOWN: Final = {
     "rad": ("″", math.pi / 648000),
+    "rad/s": ("″ a day", math.pi / 648000 / 86400),
     "V": (" µV", _MICRO),
     "1": (" ppm", _MICRO),
     "1/g": (" µg/g²", _MICRO),

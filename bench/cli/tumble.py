@@ -109,7 +109,7 @@ def _print(view: TumbleView, name: str, on: Console) -> None:
     else:
         on.print("lack of fit: too few repeats to tell")
     notes = [
-        f"taken as zero in channel {channel}: 1 µg/g² of {term} moves {_moved(moved)}"
+        f"{_left_out(term, combined=view.combined)} in channel {channel}: 1 µg/g² of {term} moves {_moved(moved)}"
         for channel, by_term in view.left_out.items()
         for term, moved in by_term.items()
         if moved
@@ -146,6 +146,12 @@ def _close(view: TumbleView) -> list[tuple[str, str, float]]:
     ]
     told = [(a, b, view.correlation(a, b)) for a, b in pairs]
     return [pair for pair in told if abs(pair[2]) > CLOSE]
+
+
+def _left_out(term: str, *, combined: bool) -> str:
+    from bench.analysis.budget.whole import OF_BLOCK
+
+    return "not fitted, but in u," if combined and term in OF_BLOCK else "taken as zero"
 
 
 def _moved(moved: Mapping[str, float]) -> str:

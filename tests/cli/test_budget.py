@@ -88,6 +88,17 @@ def test_printed_for_a_person(bench):
 
 
 @pytest.mark.slow
+def test_the_words_on_the_mounting_roll_are_those_of_the_table(bench):
+    """What the table counts, no note calls zero: not stated, as stated, and as zero because somebody says so."""
+    silent = result_of(bench, "--bench", "paper-stand", "--trials", 0)
+    assert silent["coefficients"]["Kyz"]["by_source"]["mounting_roll"] == pytest.approx(311e-6, rel=0.01)
+    (note,) = (note for note in silent["notes"] if "mounting_roll" in note)
+    assert "not stated in the bench file, and counted as large as mounting_error" in note
+    stated = result_of(bench, "--bench", "bench-motorised", "--trials", 0)
+    assert not any("mounting_roll" in note for note in stated["notes"])
+    assert not any("zero" in note for note in (*silent["notes"], *stated["notes"]))
+
+
 def test_a_page_with_figures(bench):
     code, _, _ = bench("budget", "--trials", 2500, "--out", "page", "--rule", "simple")
     assert code == 0

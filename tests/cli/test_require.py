@@ -95,6 +95,15 @@ def test_every_error_can_be_counted_and_the_priors_of_the_block_rule_at_5_g(benc
 
 
 @pytest.mark.slow
+def test_with_every_error_a_coefficient_is_what_a_calibration_signs(bench):
+    """Coefficients are stated per local g: of them gravity is no error."""
+    asked = ("--of", "Kxx", "--all-errors", "--procedure", "quick", "--bench", "paper-stand", "--k", 1)
+    found = json.loads(bench("require", "--accuracy", "100 uV/g", *asked, "--json", "-")[1])
+    budget = bench("budget", "--procedure", "quick", "--bench", "paper-stand", "--trials", 0, "--json", "-")
+    assert found["reached"] == pytest.approx(json.loads(budget[1])["per_local_g"]["u"][0], rel=1e-6)
+
+
+@pytest.mark.slow
 def test_counted_with_the_reading_in_use_the_priors_of_the_block_rule_at_5_g(bench):
     asked = ("require", "--accuracy", "2e-3", "--of", "modulus", "--up-to", "5g", "--procedure", "paper")
     status, out, _ = bench(*asked, "--all-errors", "--with-reading", "--json", "-")

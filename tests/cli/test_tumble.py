@@ -43,7 +43,11 @@ def test_twelve_points_separate_and_say_how_little(bench, readings):
 
 
 def test_terms_that_are_left_out_show_as_lack_of_fit(bench, readings):
-    assert bench("tumble", "turn-12.csv", "--terms", "K3,Koq", "--strict")[0] == 1
+    status, out, _ = bench("tumble", "turn-12.csv", "--terms", "K3,Koq", "--strict")
+    assert status == 1
+    # a prior of K2 is in the uncertainty, one of Kpp is not
+    assert "not fitted, but in u, in channel x: 1 µg/g² of K2 moves" in out
+    assert "taken as zero in channel x: 1 µg/g² of Kpp moves" in out
 
 
 def test_a_mistake_is_one_line(bench, readings):

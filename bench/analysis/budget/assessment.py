@@ -13,6 +13,7 @@ from bench.analysis.budget.coefficients import Budget, make_budget
 from bench.analysis.budget.error_source import ErrorSource
 from bench.analysis.budget.exact import ExactResult, exact_monte_carlo
 from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.sources import ROLL_ORIGIN
 from bench.analysis.calibration.conformity import DecisionRule, Population
 from bench.analysis.calibration.known import KnownStand
 
@@ -62,7 +63,8 @@ class Assessment:
         return (*self._notes(), *self.beside)
 
     def _notes(self) -> Iterator[str]:
-        priors = [c.source.name for c in self.budget.contributions if c.source.prior and c.source.u > 0.0]
+        sources = [c.source for c in self.budget.contributions]
+        priors = [s.name for s in sources if s.prior and s.u > 0.0 and s.origin != ROLL_ORIGIN]
         if priors:
             yield (
                 f"{', '.join(priors)}: plausible sizes or makers' limits, not stated in the bench file; state "
@@ -86,12 +88,12 @@ class Assessment:
                 f"({part:.0f} % of the variance of |a|): known as priors, since a calibration at 1 g shows such "
                 "terms hardly or not; a centrifuge gives them"
             )
-        unstated = [
-            c.source.name for c in self.budget.contributions if c.source.origin.startswith("not stated")
-        ]
-        if unstated:
-            yield f"{', '.join(unstated)}: not stated in the bench file, taken as zero; nothing shows it"
-        if any(c.source.name == "gravity" and c.source.u > 0.0 for c in self.budget.contributions):
+        if any(s.origin == ROLL_ORIGIN for s in sources):
+            yield (
+                "mounting_roll: not stated in the bench file, and counted as large as mounting_error; state "
+                "what was measured in its section 'stand'"
+            )
+        if any(s.name == "gravity" and s.u > 0.0 for s in sources):
             yield (
                 "gravity: coefficients per local g are free of it; it enters what is stated in m/s² or used "
                 "at another place"

@@ -12,6 +12,7 @@ import numpy as np
 from bench.analysis.calibration.design import EffectUnknown
 from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.model import Distribution
+from bench.readings.levelled import DAY
 
 Common = Literal["reading", "setting", "angle", "orientation", "mounting", "time", "run"]
 """What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
@@ -23,6 +24,7 @@ of scale and zero, which no reading shows; what the model of the block leaves ou
 
 _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
     "rad": ("arcsec", ARCSEC),
+    "rad/s": ("arcsec a day", ARCSEC / DAY),
     "V": ("µV", 1e-6),
     "1": ("ppm", 1e-6),
     "g": ("µg", 1e-6),

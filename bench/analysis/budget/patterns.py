@@ -106,7 +106,7 @@ HARDLY_ANY: Final = 1e-3
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
     """Return the shapes (n, q) of a stationary process of unit variance; one shape where it is an offset.
 
-    Limits alone say nothing of a course within them, and passes average no offset (GUM, 4.3.7 and F.2.4.5).
+    Limits alone say nothing of a course within them, and passes average no offset (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))

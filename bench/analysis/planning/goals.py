@@ -31,7 +31,8 @@ class Goal:
     """Functionals (k, 12) of the coefficients, whose variances add up, and the u that is asked for.
 
     `floor` is what no calibration takes away, as a variance: the noise of the reading that is judged, at the
-    verification point `judged`, and in a plan what no reading shows.
+    verification point `judged`, and in a plan what no reading shows. A `loose` goal only keeps a plan a
+    calibration of the whole block.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Goal:
     unit: str
     floor: float = 0.0
     judged: Setting | None = None
+    loose: bool = False
 
     def variance(self, covariance: Floats) -> float:
         """Return the variance that a covariance (12, 12) of the coefficients gives, without the floor."""
@@ -53,15 +55,13 @@ class Goal:
         """Return the uncertainty in units of what is asked: at most 1 where the goal is reached."""
         return self.u(covariance) / self.asked
 
-    def part(self, covariance: Floats) -> float:
-        """Return the variance that a covariance gives, in units of what the floor leaves of the one asked for."""
-        left = self.asked**2 - self.floor
-        return self.variance(covariance) / left if left > 0.0 else np.inf
+    def relaxed(self, endless: float) -> Goal:
+        """Return a loose goal no tighter than twice what endlessly many readings leave, a variance `endless`."""
+        return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
         """Return the goal that allows so many times less variance above the floor."""
-        left = max(self.asked**2 - self.floor, 0.0)
-        return replace(self, asked=float(np.sqrt(self.floor + left / wider2)))
+        return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
 def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
@@ -149,7 +149,7 @@ def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
     typical = float(np.max(np.abs(block.K)))
     asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)
     goal = vector_goal(block, 1.0, max(WHOLE * asked, LEAST_WHOLE_G))
-    return replace(goal, name=f"whole block: {goal.name}")
+    return replace(goal, name=f"whole block: {goal.name}", loose=True)
 
 
 def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:

@@ -25,19 +25,24 @@ from bench.analysis.planning.exchange import (
     ExchangeDesign,
     SettingPool,
     best_of,
+    even,
     fewest,
     least_settings,
     widening,
 )
 from bench.analysis.planning.goals import Goal, worst
 from bench.analysis.planning.settings import Cost, Setting, conditions_of
-from bench.base.arrays import HOUR, Floats
+from bench.base.arrays import HOUR, Floats, Ints
 from bench.base.progress import tracked
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel, Mounting
 
 WITHOUT_NOISE: Final = 1e-4
 """The noise of endlessly many readings, as a part of that of one."""
+_EVENLY_MOST: Final = 4
+"""Settings are spread evenly over so many times those that a search found."""
 _PARTS_TOLD: Final = 3
+_PART_NAMED: Final = 0.01
+"""Of what no reading lowers so many parts are named, those with more than this part of the largest variance."""
 _ROUNDS: Final = 4
 """Searches until the goals are reached with the noise that repeats and residuals will really tell."""
 
@@ -232,6 +237,11 @@ class Points:
     cost: Cost
 
     @property
+    def covariance(self) -> Floats:
+        """Covariance (12, 12) of the coefficients, as a calibration will sign it."""
+        return self.promise.combined
+
+    @property
     def count(self) -> int:
         """How many settings there are."""
         return sum(sum(angles.values()) for angles in self.visits.values())
@@ -306,18 +316,54 @@ def cheapest(
 
     Raises `CalibrationError` where no choice of mountings reaches them, with the reason.
     """
-    floored = list(stand.promise(sites.settings(range(len(sites.mounts))), goals).goals)
+    goals, floored = _floored(stand, sites, goals)
     tightened, wider2 = floored, 1.0
     for _ in range(_ROUNDS):
         found = _cheapest(sites, tightened, cost, most_settings, most_mounts)
         if found is None:
             break
-        points = _points(stand, sites, *found, goals, cost)
+        chosen, design = found
+        points = _points(stand, sites, chosen, design.counts, goals, cost)
+        if not points.reached:
+            most = min(_EVENLY_MOST * points.count, most_settings)
+            points = _evenly(stand, sites, chosen, range(points.count, most + 1), goals, cost) or points
         if points.reached:
             return points
-        wider2 *= max(goal.part(points.promise.readings) for goal in points.promise.goals)
-        tightened = [goal.tightened(wider2) for goal in points.promise.goals]
+        wider2 *= max(
+            (points.u(goal) ** 2 - least.floor) / (least.asked**2 - least.floor)
+            for goal, least in zip(points.promise.goals, floored, strict=True)
+        )
+        tightened = [least.tightened(wider2) for least in floored]
     raise CalibrationError(_unreachable(stand, sites, floored, most_settings, most_mounts))
+
+
+def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
+    """Return the goals, and with the floors of readings everywhere: at few points more goes through."""
+    everywhere = sites.settings(range(len(sites.mounts)))
+    try:
+        endless = stand.budget([*everywhere, *checks_of(goals)], WITHOUT_NOISE)
+        parts = parts_of_goals(goals, endless)
+        asked = [g.relaxed(sum(own.values())) for g, own in zip(goals, parts, strict=True)]
+        return asked, list(stand.promise(everywhere, asked).goals)
+    except CalibrationError:
+        return list(goals), list(goals)  # all of them together determine no block: no choice of them will
+
+
+def _evenly(
+    stand: Stand,
+    sites: Sites,
+    chosen: Sequence[int],
+    settings: Iterable[int],
+    goals: Sequence[Goal],
+    cost: Cost,
+) -> Points | None:
+    """Return the fewest evenly spread settings that reach all goals.
+
+    The search knows what readings lower. Of what they do not, as K2 and K3, less goes through even points.
+    """
+    candidates = sites.candidates(chosen)
+    made = (_points(stand, sites, chosen, even(candidates, len(chosen), n), goals, cost) for n in settings)
+    return next((points for points in made if points.reached), None)
 
 
 def _cheapest(
@@ -345,7 +391,7 @@ def best_within(
     """
     best: tuple[float, _Found] | None = None
     least_s = math.inf
-    floored = stand.promise(sites.settings(range(len(sites.mounts))), goals).goals
+    goals, floored = _floored(stand, sites, goals)
     for chosen in tracked(list(sites.choices(most_mounts)), "choices of mountings"):
         candidates = sites.candidates(chosen)
         whole = ExchangeDesign(candidates, floored)
@@ -360,7 +406,10 @@ def best_within(
             best = design.largest, (chosen, design)
     if best is None:
         raise CalibrationError(_too_short(time_s, least_s))
-    return _points(stand, sites, *best[1], goals, cost)
+    chosen, design = best[1]
+    spread = even(sites.candidates(chosen), len(chosen), design.settings)
+    made = [_points(stand, sites, chosen, counts, goals, cost) for counts in (design.counts, spread)]
+    return min(made, key=lambda points: points.u(points.worst) / points.worst.asked)
 
 
 def _too_short(time_s: float, least_s: float) -> str:
@@ -392,7 +441,11 @@ def _unreachable(
     left = zip(goals, parts_of_goals(goals, budget), strict=True)
     goal, parts = max(left, key=lambda one: sum(one[1].values()) / one[0].asked ** 2)
     largest = sorted(parts.items(), key=lambda part: -part[1])[:_PARTS_TOLD]
-    told = ", ".join(f"{name} {1e6 * math.sqrt(variance):.3g} µ{goal.unit}" for name, variance in largest)
+    told = ", ".join(
+        f"{name.replace('_', ' ')} {1e6 * math.sqrt(variance):.3g} µ{goal.unit}"
+        for name, variance in largest
+        if variance > _PART_NAMED * largest[0][1]
+    )
     return (
         f"cannot be reached by any number of settings: in the best choice of mountings ({names}) what no reading "
         f"lowers is {ratio:.3g} times what is asked; most of it for {goal.name}: {told}; better these, or allow "
@@ -404,12 +457,12 @@ def _points(
     stand: Stand,
     sites: Sites,
     chosen: Sequence[int],
-    design: ExchangeDesign,
+    visited: Ints,
     goals: Sequence[Goal],
     cost: Cost,
 ) -> Points:
     """The chosen points in order, with their covariance as the estimator itself has it."""
-    counts = design.counts.reshape(len(chosen), len(sites.angle_rad))
+    counts = visited.reshape(len(chosen), len(sites.angle_rad))
     visits = {
         sites.mounts[m]: {float(sites.angle_rad[i]): int(row[i]) for i in np.flatnonzero(row)}
         for m, row in zip(chosen, counts, strict=True)

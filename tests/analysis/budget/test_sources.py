@@ -250,6 +250,16 @@ def test_what_feeds_the_block_is_two_lines(tmp_path):
     assert not found["turn_on"].prior
 
 
+def test_a_foundation_that_the_bench_file_states_is_a_line(tmp_path):
+    """60 arcsec a day with k = 2, along and across; `test_promise` holds it against what is signed."""
+    assert "foundation" not in by_name(SHIPPED)
+    stated = edited(tmp_path, stand={"foundation": {"limit": "60 arcsec", "distribution": "normal", "k": 2}})
+    source = by_name(stated)["foundation"]
+    assert source.shown == "30 arcsec a day"
+    u = make_budget(paper_setup(), [source], "closed-form").combined.u
+    assert u[COEFFICIENTS.index("Kyx")] > 1e-6
+
+
 def test_a_correlation_time_is_more_than_nothing(tmp_path):
     never = {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "0 s"}
     with pytest.raises(FileMistakes, match=r"correlation_time: expected more than nothing"):

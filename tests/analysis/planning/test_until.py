@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.analysis.planning.goals import coefficient_goals
 from bench.analysis.planning.until.aim import Reached
 from bench.analysis.planning.until.apart import telling_apart
 from bench.analysis.planning.until.choice import REACHED, TIME, USED_UP, Standing
@@ -14,10 +15,11 @@ from bench.analysis.planning.until.noise import Scale, scale_of
 from bench.analysis.planning.until.outlook import time_outlook
 from bench.analysis.planning.until.pool import pool_of
 from bench.api.errors import Refused
+from bench.api.points import stand_of
 from bench.api.until import chooser_of
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
-from bench.model import CATALOGUE
+from bench.model import CATALOGUE, ForwardModel
 from bench.procedure.load import load_procedure
 from benchmarks.until_campaign import World, run_until
 
@@ -145,6 +147,18 @@ def test_goals_of_both_uncertainties_stand_side_by_side():
     chooser = chooser_of(PLAN, BENCH, ["combined:Kyz=4e-4, vector=7e-5"])
     kyz = next(w for w in chooser.aim.wanted if w.combined)
     assert 3e-4 < np.sqrt(kyz.hidden) < 4e-4
+
+
+def test_an_angle_that_nobody_stated_is_shown_by_the_mountings_that_show_it():
+    """Kyz with α5 as large as the mounting error: 310 µV/g from 1 and 2 alone, a tenth of it with the remounts."""
+    chooser = chooser_of(load_procedure(find_procedure("remount-90")).expand(), BENCH, ["combined:Kyz=1e-4"])
+    assert np.sqrt(chooser.aim.wanted[0].hidden) < 2e-5
+    end = chooser.choose(Standing()).end
+    assert end is not None
+    assert end.u <= 1e-4
+    alone = stand_of(BENCH, ForwardModel(BENCH.installation_models()))
+    promised = alone.promise(pool_of(PLAN).settings(), coefficient_goals({"Kyz": 1.0}))
+    assert promised.goals[0].u(promised.readings) == pytest.approx(312e-6, rel=0.01)
 
 
 def test_plans_without_a_choice_are_refused():

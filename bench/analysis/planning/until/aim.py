@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from bench.analysis.budget.coefficients import Budget, make_budget
-from bench.analysis.budget.error_source import ErrorSource
-from bench.analysis.budget.learned import learned_sources
-from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import effect_sources, stand_source
-from bench.analysis.calibration.estimators import GLS
 from bench.analysis.planning.goals import Goal
-from bench.analysis.planning.points import Stand
-from bench.analysis.planning.settings import conditions_of
+from bench.analysis.planning.points import WITHOUT_NOISE, Stand
 from bench.analysis.planning.until.pool import Pool
 from bench.base.arrays import Floats
-from bench.model import STAND_ANGLES, Distribution
-from bench.model.block import COEFFICIENTS
 
-_WITHOUT_NOISE: Final = 1e-4
-"""The noise of endlessly many readings, as a part of that of one."""
 _NO_PART: Final = 1e-6
 NO_GOAL: Final = 1e-12
 """Asked for where nothing is but a time: never reached."""
@@ -89,20 +77,17 @@ class Floor:
     parts: tuple[tuple[str, float], ...]
 
 
-def floors(aim: Aim, stand: Stand, pool: Pool, hidden: Sequence[ErrorSource]) -> list[Floor]:
+def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
     """Return the goals below what endlessly many readings at the points of the pool would leave.
 
-    `hidden` are the sources of the combined uncertainty beyond those of the stand. Raises `CalibrationError` where
-    the pool does not determine the coefficients.
+    `stand` has what the readings' own uncertainty holds, `whole` what the combined one does. Raises
+    `CalibrationError` where the pool does not determine the coefficients.
     """
-    budget = _endless(stand, pool, hidden)
+    readings, combined = (one.budget(pool.settings(), WITHOUT_NOISE) for one in (stand, whole))
     found = []
     for wanted in aim.wanted:
-        own = {
-            c.source.name: _variance(wanted.goal, c.covariance)
-            for c in budget.contributions
-            if wanted.combined or c.source not in hidden
-        }
+        budget = combined if wanted.combined else readings
+        own = {c.source.name: wanted.goal.variance(c.covariance) for c in budget.contributions}
         if wanted.goal.floor > 0:
             own["the reading that is judged"] = wanted.goal.floor
         u = float(np.sqrt(sum(own.values())))
@@ -112,36 +97,13 @@ def floors(aim: Aim, stand: Stand, pool: Pool, hidden: Sequence[ErrorSource]) ->
     return found
 
 
-def with_hidden(aim: Aim, stand: Stand, pool: Pool, hidden: Sequence[ErrorSource]) -> Aim:
+def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
     """Return the aim with the part of each combined goal that no reading lowers."""
     if not any(wanted.combined for wanted in aim.wanted):
         return aim
-    beyond = np.zeros((len(COEFFICIENTS), len(COEFFICIENTS)))
-    for contribution in _endless(stand, pool, hidden).contributions:
-        if contribution.source in hidden:
-            beyond += contribution.covariance
-    return replace(
-        aim,
-        wanted=tuple(replace(w, hidden=_variance(w.goal, beyond)) if w.combined else w for w in aim.wanted),
+    readings, combined = (
+        one.budget(pool.settings(), WITHOUT_NOISE).combined.covariance for one in (stand, whole)
     )
-
-
-def _variance(goal: Goal, covariance: Floats) -> float:
-    return float(np.einsum("ki,ij,kj->", goal.functionals, covariance, goal.functionals))
-
-
-def _endless(stand: Stand, pool: Pool, hidden: Sequence[ErrorSource]) -> Budget:
-    """The budget of the whole pool with next to no noise: what is left of it endless repeats leave, too."""
-    setup = Setup(stand.model, conditions_of(pool.settings()), stand.block)
-    sizes = {
-        name: u if name in STAND_ANGLES else _WITHOUT_NOISE * u for name, u in stand.sizes.items() if u > 0
-    }
-    sources = [stand_source(name, Distribution(u)) for name, u in sizes.items()]
-    of_model = effect_sources(setup)
-    if stand.known is None:
-        return make_budget(setup, [*sources, *of_model, *hidden], GLS, stated=sizes)
-    known = stand.known
-    if known.noise is not None:
-        known = replace(known, noise=known.noise.times(_WITHOUT_NOISE))
-    learned = learned_sources(sources, known, setup.conditions.mounts)
-    return make_budget(setup, [*learned, *of_model, *hidden], GLS, stated=sizes, known=known)
+    relaxed = (replace(w, goal=w.goal.relaxed(w.goal.variance(combined))) for w in aim.wanted)
+    wanted = (replace(w, hidden=w.goal.variance(combined - readings)) if w.combined else w for w in relaxed)
+    return replace(aim, wanted=tuple(wanted))
