@@ -47,12 +47,11 @@ class Values:
 
     @classmethod
     def of(
-        cls, named: Mapping[str, str], values: Floats, covariance: Floats, k: float, dof: Floats | None = None
+        cls, named: Mapping[str, str], values: Floats, covariance: Floats, k: float, dof: Floats
     ) -> Values:
-        """Return the results whose names and units are `named`; `dof` (n,) are infinite where left out."""
+        """Return the results whose names and units are `named`, with degrees of freedom `dof` (n,)."""
         sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
-        freedom = [math.inf] * len(values) if dof is None else dof.tolist()
-        rows = zip(named.items(), sizes, freedom, strict=True)
+        rows = zip(named.items(), sizes, dof.tolist(), strict=True)
         found = (Value(name, value, u, k * u, k, nu, unit) for (name, unit), (value, u), nu in rows)
         return cls(tuple(found), covariance)
 

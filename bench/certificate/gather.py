@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.budget.sources import hidden_sources
+from bench.analysis.budget.whole import dof_through
 from bench.analysis.calibration.derived import INVERSE, MISALIGNMENTS
 from bench.api.calibration import CalibrationResult, calibration_of, coefficient_unit
 from bench.api.errors import Refused
@@ -159,8 +160,14 @@ def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
     n, angles = derived.inverse, derived.misalignments
     return {
         "coefficients": Values.of(units, own.block.vector, own.covariance, k, own.dof),
-        "inverse": Values.of(inverted, n.values, n.covariance, k),
-        "misalignments": Values.of(dict.fromkeys(MISALIGNMENTS, "rad"), angles.values, angles.covariance, k),
+        "inverse": Values.of(inverted, n.values, n.covariance, k, dof_through(own, n.jacobian)),
+        "misalignments": Values.of(
+            dict.fromkeys(MISALIGNMENTS, "rad"),
+            angles.values,
+            angles.covariance,
+            k,
+            dof_through(own, angles.jacobian),
+        ),
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bench.base.numbers import rounded, two_digits
+from bench.base.numbers import rounded, uncertainty
 from bench.base.visible import visible
 from bench.cli import printing
 
@@ -52,6 +52,10 @@ def _print_shown(shown: Shown, on: Any) -> None:
     table = printing.table("coefficient", ">value", ">U", ">k", "")
     for one in shown.coefficients:
         table.add_row(
-            visible(one.name), rounded(one.value, one.U), two_digits(one.U), f"{one.k:.3g}", visible(one.unit)
+            visible(one.name),
+            rounded(one.value, one.U),
+            uncertainty(one.U),
+            f"{one.k:.3g}",
+            visible(one.unit),
         )
     on.print(table)

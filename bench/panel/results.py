@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from bench.base.numbers import fixed, places, scale_for, two_digits
+from bench.base.numbers import rounded, scale_for, uncertainty
 from bench.base.whole import from_text
 from bench.panel.access.people import Refusal
 from bench.panel.folder import read_page
@@ -154,8 +154,8 @@ def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     return VerdictTold(
         state=state,
         words=f"{_MARKS.get(state, '–')} {({'pass': 'passed', 'fail': 'failed'}).get(statement, statement)}",
-        worst=fixed(abs(float(worst["delta_g"])) / scale.size, max(places(expanded), 0)),
-        expanded=two_digits(expanded),
+        worst=rounded(abs(float(worst["delta_g"])) / scale.size, expanded),
+        expanded=uncertainty(expanded),
         k=f"{float(worst.get('k', 2.0)):.3g}",
         limit=f"{limit / scale.size:g}",
         unit=scale.unit,
@@ -173,8 +173,8 @@ def _point(one: Mapping[str, Any], size: float) -> PointRow:
     return PointRow(
         where=f"{float(one['angle_deg']):.4f}°"
         + (f" (pass {one['pass']}, point {one['point']})" if "pass" in one else ""),
-        delta=fixed(float(one["delta_g"]) / size, max(places(expanded), 0), sign=True),
-        expanded=two_digits(expanded),
+        delta=rounded(float(one["delta_g"]) / size, expanded, sign=True),
+        expanded=uncertainty(expanded),
         false_accept=_in_words(risk),
         statement=str(one.get("statement", "pass" if one["passed"] else "fail")),
         passed=bool(one["passed"]),
@@ -204,9 +204,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
         if not math.isfinite(size) or size <= 0:
             size, shown = 1.0, per
         rows.append(
-            CoefficientRow(
-                name, fixed(value / size, places(expanded / size)), two_digits(expanded / size), shown
-            )
+            CoefficientRow(name, rounded(value / size, expanded / size), uncertainty(expanded / size), shown)
         )
     residual = told.get("residual") or {}
     p = residual.get("p")

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from scipy import special
 
+from bench.analysis.budget.whole import dof_through
 from bench.analysis.calibration import Verification, VerificationPoint
 from bench.analysis.calibration.conformity import SIMPLE, Statement
 from bench.base.arrays import Floats
@@ -180,7 +181,8 @@ def _per_ms2(found: Found) -> Values:
     named = {
         one.name: si_unit(own.unit) if one.name.startswith("U0") else per for one in found.coefficients.values
     }
-    return Values.of(named, values, covariance, found.coefficients.values[0].k, own.dof)
+    dof = dof_through(own, np.diag(scale), of_g**2)
+    return Values.of(named, values, covariance, found.coefficients.values[0].k, dof)
 
 
 def _listed(values: Values, certificate: Certificate) -> Node:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from bench.base.numbers import fixed, places, rounded, two_digits
+from bench.base.numbers import fixed, rounded, uncertainty
 from bench.base.visible import visible
 from bench.certificate.content import Certificate, Value, Values
 
@@ -89,7 +89,7 @@ def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
     return [
         symbol(value.name),
         "0" if exact else rounded(value.value / size, U),
-        two_digits(U),
+        uncertainty(U),
         f"{value.k:.3g}",
         freedom,
         unit or value.unit,
@@ -125,10 +125,9 @@ def broken(digest: str) -> list[Cell]:
 
 def span(low: float, high: float, u: float | None, unit: str) -> str:
     """Return a range as a certificate states it: "22.8 °C to 23.1 °C", with U where there is one (k = 2)."""
-    digits = max(places(u), 0) if u else 2
-    ends = [fixed(one, digits) for one in (low, high)]
+    ends = [rounded(one, 2.0 * u) if u else fixed(one, 2) for one in (low, high)]
     text = f"{ends[0]} {unit}" if ends[0] == ends[1] else f"{ends[0]} … {ends[1]} {unit}"
-    return f"{text} ± {two_digits(2.0 * u)} {unit} (k = 2)" if u else text
+    return f"{text} ± {uncertainty(2.0 * u)} {unit} (k = 2)" if u else text
 
 
 def plain(told: Any) -> Any:

@@ -7,7 +7,7 @@ from hashlib import sha256
 from typing import Any, Final
 
 from bench.api.errors import Refused
-from bench.base.numbers import rounded, two_digits
+from bench.base.numbers import rounded, uncertainty
 from bench.base.regular import MEGABYTE, read_regular
 from bench.certificate.content import Attached, Certificate, day_of
 from bench.certificate.laboratory import Contact
@@ -141,7 +141,7 @@ def _matrix(certificate: Certificate, write: Writer) -> Block:
         for name in (*(f"K{channel}{axis}" for axis in "xyz"), f"U0{channel}"):
             value = values[name]
             exact = value.value == 0.0 and value.U == 0.0
-            cells.append("0" if exact else f"{rounded(value.value, value.U)} ± {two_digits(value.U)}")
+            cells.append("0" if exact else f"{rounded(value.value, value.U)} ± {uncertainty(value.U)}")
         rows.append(cells)
     units = [values["Kxx"].unit] * 3 + [values["U0x"].unit]
     columns = [{"symbol": "K", "index": f"·{axis}"} for axis in "xyz"] + [{"symbol": "U", "index": "0"}]

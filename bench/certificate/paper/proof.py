@@ -8,7 +8,7 @@ from typing import Any, Final
 from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE
 from bench.analysis.calibration.verdict_words import optional_probability, probability_in_words
 from bench.base.arrays import ARCSEC
-from bench.base.numbers import fixed, places, quantity, two_digits, typeset
+from bench.base.numbers import quantity, rounded, typeset, uncertainty
 from bench.certificate.content import Certificate, Condition, Found, Instrument, uncertified
 from bench.certificate.paper.blocks import (
     NOBODY_SAYS,
@@ -203,13 +203,10 @@ def verdict_of(found: Found, write: Writer) -> list[Block]:
         "conformity_text",
         points=len(result.points), limit=typeset(f"{result.limit_g:g}"), statement=write.say(str(result.statement)),
     )  # fmt: skip
-    worst = result.worst
-    scale = 1e6
+    worst, scale = result.worst, 1e6
+    error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
     rows: list[tuple[str, list[Cell]]] = [
-        (
-            "delta_g",
-            [f"|Δg| ≤ {fixed(abs(worst.delta_g) * scale, 1)} µg, U = {two_digits(worst.U * scale)} µg"],
-        ),
+        ("delta_g", [f"|Δg| ≤ {error} µg, U = {U} µg"]),
         (
             "rule",
             [write.say(_RULES.get(result.rule, "rule_guarded"), times=f"{result.decision.guard_band:g}")],
@@ -235,8 +232,8 @@ def _conformity(found: Found, write: Writer) -> list[Block]:
         [
             f"{p.pass_number} / {p.point}",
             f"{p.angle_deg:.4f}°",
-            fixed(p.delta_g * scale, max(places(p.U * scale), 0), sign=True),
-            two_digits(p.U * scale),
+            rounded(p.delta_g * scale, p.U * scale, sign=True),
+            uncertainty(p.U * scale),
             f"{p.k:.3g}",
             write.say(str(p.statement)),
             optional_probability(p.p_false_accept),
