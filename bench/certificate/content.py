@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from bench.analysis.calibration import Verification
+from bench.analysis.calibration.conformity import Statement
+from bench.analysis.calibration.verdict_words import by_rule
 from bench.api.calibration import CalibrationResult
 from bench.api.verification import VerificationResult
 from bench.base.arrays import Floats, u_of
@@ -185,12 +187,16 @@ class Before:
 
 @dataclass(frozen=True)
 class Issue:
-    """What happens once: the number, when it was issued (ISO 8601, to the second), who authorised it."""
+    """What happens once: the number, when it was issued (ISO 8601, to the second), who authorised it.
+
+    `signed_by` is whom the certificate of the key names, empty where nobody signs.
+    """
 
     number: str
     issued: str
     authorised_by: Person
     before: Before | None = None
+    signed_by: str = ""
 
     @property
     def day(self) -> str:
@@ -228,6 +234,11 @@ class Certificate:
     def draft(self) -> bool:
         """Whether it has no number."""
         return self.issue is None
+
+    @property
+    def unsigned(self) -> bool:
+        """Whether it has a number and nobody signs it: every page says so."""
+        return self.issue is not None and not self.issue.signed_by
 
     @property
     def simulated(self) -> bool:
@@ -269,6 +280,35 @@ class Certificate:
         return "" if self.unit is None else self.unit.state
 
     @property
+    def origins(self) -> dict[str, list[tuple[str, dict[str, str]]]]:
+        """What is not the laboratory's own: sampling, external providers, the customer's data.
+
+        Keys of texts: a head, and sentences with what fills their blanks. Empty without an order. Source:
+        ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.
+        """
+        order = self.order
+        if order is None:
+            return {}
+        sampling = ("given", {"text": order.sampling}) if order.sampling else ("sampling_none", {})
+        external = [("external_text", {"what": one.what, "by": one.by}) for one in order.external]
+        supplied = [
+            ("supplied_affects" if one.affects_validity else "given", {"text": one.what})
+            for one in order.supplied
+        ]
+        return {
+            "sampling": [sampling],
+            "external": external or [("none_stated", {})],
+            "supplied": [("supplied_order", {}), *supplied],
+        }
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The keys of the statements of the first page."""
+        supplied = () if self.order is None else self.order.supplied
+        affected = ("statement_affected",) if any(one.affects_validity for one in supplied) else ()
+        return ("statement_item", *affected, "statement_reproduction")
+
+    @property
     def valid_instruments(self) -> bool:
         """Whether every instrument that the result rests on has a certificate that is its own."""
         return not uncertified(self.found)
@@ -282,6 +322,13 @@ class Certificate:
             Attached("readings.csv", "text/csv", "the readings", found.readings_csv.encode()),
             Attached("seal.json", "application/json", "the record of the run", found.record.seal.encode()),
         )
+
+
+def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
+    """Return the statement of conformity as its rule makes it, on the whole and on each verification point."""
+    points = tuple(by_rule(one.statement, of.rule, passed=one.passed) for one in of.points)
+    missing = (Statement.NOT_COMPLETE,) if of.missing else ()
+    return max((*points, *missing), key=list(Statement).index), points
 
 
 def uncertified(found: Found) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
@@ -13,6 +14,7 @@ import numpy as np
 from bench.analysis.budget.sources import hidden_sources
 from bench.analysis.budget.whole import dof_through
 from bench.analysis.calibration.derived import INVERSE, MISALIGNMENTS
+from bench.analysis.calibration.verdict_words import global_risk_in_words
 from bench.api.calibration import CalibrationResult, calibration_of, coefficient_unit
 from bench.api.errors import Refused
 from bench.api.origin import origin_beside
@@ -132,6 +134,8 @@ def found_by(name: str, runs: Path, k: float) -> Found:
         raise Refused(f"{name}: the run is {run.history.state}; a certificate is of a run that has ended")
     result = calibration_of(source)
     verdict = verification_of(result.source, result) if len(source.readings.verification()) else None
+    # what a statement means and what to do about it is for the operator, and speaks of guard bands that no rule has
+    of_all = () if verdict is None else global_risk_in_words(verdict.verification)
     record, begun = _record(run), _begun(source)
     return Found(
         record=record,
@@ -148,7 +152,7 @@ def found_by(name: str, runs: Path, k: float) -> Found:
         verdict=verdict,
         result_json=_result_json(run, result, verdict),
         readings_csv=format_csv(source.as_read),
-        notes=tuple(_plain(note, run) for note in (*result.notes, *(verdict.sentences if verdict else ()))),
+        notes=tuple(_plain(note, run) for note in (*result.notes, *of_all)),
         simulated=source.simulated,
     )
 
@@ -217,7 +221,8 @@ def _conditions(source: Source) -> Iterator[Condition]:
     told = sorted({text for text in used.extra.get(TEMPERATURE_SOURCE, ()) if text})
     span = _span(used.temperature_c)
     if span is not None:
-        yield Condition("temperature", *span, "°C", source=", ".join(told))
+        of_block, by = _of_temperature(source)
+        yield Condition("temperature", *span, "°C", u=of_block, source="; ".join([*told, by]))
     if CHAMBER_C in used.extra and (span := _span(_numbers(used, CHAMBER_C))) is not None:
         yield Condition("chamber", *span, "°C")
     for rail in rails_of(used.extra):
@@ -231,6 +236,19 @@ def _conditions(source: Source) -> Iterator[Condition]:
         if error.name == "gravity":
             u, origin = error.u * g, error.origin
     yield Condition("gravity", g, g, "m/s²", u=u, source=origin)
+
+
+def _of_temperature(source: Source) -> tuple[float, str]:
+    """Return the standard uncertainty of the block's temperature, K, and where it is from.
+
+    A thermometer at the block tells it; else it is that of the air, as far as the block may be from it.
+    """
+    known = {error.name: error for error in hidden_sources(source.bench, source.model)}
+    at_block = source.bench.instruments.thermometer is not None
+    names = ("thermometer",) if at_block else ("temperature", "thermometer")
+    found = [known[name] for name in names if name in known]
+    origins = (error.origin.partition("; ")[0] for error in found)
+    return math.hypot(*(error.u for error in found)), "; ".join(origins)
 
 
 def _used(readings: Readings) -> Readings:

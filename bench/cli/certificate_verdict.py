@@ -1,4 +1,4 @@
-"""A verdict on a certificate, told at a terminal: what was signed, by whom, what it does not prove."""
+"""A verdict on a certificate, told at a terminal: what it says, who signed it, what that does not prove."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ def print_verdict(verdict: Verdict, on: Any) -> None:
         on.print(f"  {visible(why)}")
     if not verdict.intact:
         return
-    on.print(f"signer: {visible(verdict.signer)}, certificate SHA-256 {verdict.fingerprint}")
-    on.print(f"signed at: {verdict.signed_at}")
+    if not verdict.unsigned:
+        on.print(f"signer: {visible(verdict.signer)}, certificate SHA-256 {verdict.fingerprint}")
+        on.print(f"signed at: {verdict.signed_at}")
     if verdict.why_not_trusted:
         on.print(f"not trusted: {visible(verdict.why_not_trusted)}")
     if verdict.shown is not None:
@@ -34,7 +35,7 @@ def print_verdict(verdict: Verdict, on: Any) -> None:
 
 
 def _print_shown(shown: Shown, on: Any) -> None:
-    """Print what was signed, and nothing else."""
+    """Print what it says."""
     if shown.simulated:
         on.print("SIMULATED: it certifies nothing of any real unit")
     told = {

@@ -146,9 +146,9 @@ def _in_words(probability: Any) -> str:
 def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     limit = float(told["limit_g"])
     scale = scale_for(limit, "g")
-    points = [_point(one, scale.size) for one in told["points"]]
+    points = [_point(one, scale.size, str(told.get("rule", ""))) for one in told["points"]]
     worst = max(told["points"], key=lambda one: abs(float(one["delta_g"])))
-    statement = str(told.get("statement") or ("pass" if told["passed"] else "fail"))
+    statement = _statement(told, str(told.get("rule", "")))
     state = _STATES.get(statement, "none")
     expanded = _expanded(worst) / scale.size
     return VerdictTold(
@@ -167,7 +167,7 @@ def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     )
 
 
-def _point(one: Mapping[str, Any], size: float) -> PointRow:
+def _point(one: Mapping[str, Any], size: float, rule: str) -> PointRow:
     expanded = _expanded(one) / size
     risk = one.get("p_false_accept")
     return PointRow(
@@ -176,8 +176,19 @@ def _point(one: Mapping[str, Any], size: float) -> PointRow:
         delta=rounded(float(one["delta_g"]) / size, expanded, sign=True),
         expanded=uncertainty(expanded),
         false_accept=_in_words(risk),
-        statement=str(one.get("statement", "pass" if one["passed"] else "fail")),
+        statement=_statement(one, rule),
         passed=bool(one["passed"]),
+    )
+
+
+def _statement(told: Mapping[str, Any], rule: str) -> str:
+    """Return a statement as its rule makes it; an old result has none."""
+    from bench.analysis.calibration.conformity import Statement  # takes long to import
+    from bench.analysis.calibration.verdict_words import by_rule
+
+    passed = bool(told["passed"])
+    return str(
+        by_rule(Statement(told.get("statement") or ("pass" if passed else "fail")), rule, passed=passed)
     )
 
 

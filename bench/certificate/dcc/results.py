@@ -13,7 +13,7 @@ from bench.analysis.budget.whole import dof_through
 from bench.analysis.calibration import Verification, VerificationPoint
 from bench.analysis.calibration.conformity import SIMPLE, Statement
 from bench.base.arrays import Floats
-from bench.certificate.content import Certificate, Condition, Found, Instrument, Value, Values
+from bench.certificate.content import Certificate, Condition, Found, Instrument, Value, Values, stated
 from bench.certificate.dcc import units
 from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said
 from bench.certificate.dcc.units import si_unit
@@ -123,9 +123,7 @@ def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
 
 def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
     unit = si_unit(one.unit)
-    shown = (
-        [real(one.low, unit, one.u)] if one.low == one.high else [real(one.low, unit), real(one.high, unit)]
-    )
+    shown = [real(end, unit, one.u) for end in dict.fromkeys((one.low, one.high))]
     ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
     quantities = [
         node("dcc:quantity", node("dcc:name", plain(end)), quantity, refType=f"bench_{end}")
@@ -237,7 +235,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
         "p_false_accept": verification.p_outside if accepted else None,
         "p_false_reject": 1.0 - verification.p_outside if verification.rejected else None,
     }
-    statements = " ".join(_CONFORMITY[p.statement] for p in points)
+    statements = " ".join(_CONFORMITY[one] for one in stated(verification)[1])
     return node(
         "dcc:list",
         _quantity(plain("angle"), real_list([p.angle_deg for p in points], [units.DEGREE]), "angle"),
@@ -267,7 +265,8 @@ def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
 
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
     """Return the statement of conformity on the whole, with limit and rule."""
-    rule, times = _RULES[verification.rule], f"{verification.decision.guard_band:g}"
+    statement, _ = stated(verification)
+    rule, times = _RULES[verification.rule], f"{verification.decision.guard_band:.3g}"
     words = tuple(
         node(
             "dcc:content",
@@ -275,7 +274,7 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
                 "conformity_text",
                 points=len(verification.points),
                 limit=f"{verification.limit_g:g}",
-                statement=one.say(str(verification.statement)),
+                statement=one.say(str(statement)),
             )
             + " "
             + one.say(rule, times=times)
@@ -292,7 +291,7 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
         node("dcc:norm", "JCGM 106:2012"),
         node("dcc:norm", "ILAC-G8:09/2019"),
         node("dcc:declaration", *words),
-        node("dcc:conformity", _CONFORMITY[verification.statement]),
+        node("dcc:conformity", _CONFORMITY[statement]),
         refType="bench_conformity",
     )
 

@@ -53,12 +53,17 @@ class Writer:
         align: str,
         columns: Sequence[object],
         size: float = 8.8,
+        *,
+        whole: bool = False,
     ) -> Block:
-        """Return a table: `align` has l or r for each column, `columns` "auto" or a share of the width."""
+        """Return a table: `align` has l or r for each column, `columns` "auto" or a share of the width.
+
+        One that is `whole` stands on one page.
+        """
         widths = [str(width) for width in columns]
         return {
             "kind": "table", "head": list(head), "rows": [list(row) for row in rows], "align": list(align),
-            "columns": widths, "size": size,
+            "columns": widths, "size": size, "whole": whole,
         }  # fmt: skip
 
     def figure(self, svg: str, key: str, width_mm: float, **values: object) -> Block:

@@ -8,8 +8,15 @@ from typing import Any, Final
 from bench.analysis.calibration.conformity import NON_BINARY, SIMPLE
 from bench.analysis.calibration.verdict_words import optional_probability, probability_in_words
 from bench.base.arrays import ARCSEC
-from bench.base.numbers import quantity, rounded, typeset, uncertainty
-from bench.certificate.content import Certificate, Condition, Found, Instrument, uncertified
+from bench.base.numbers import aligned, quantity, rounded, two_digits, typeset, uncertainty
+from bench.certificate.content import (
+    Certificate,
+    Condition,
+    Found,
+    Instrument,
+    stated,
+    uncertified,
+)
 from bench.certificate.paper.blocks import (
     NOBODY_SAYS,
     Block,
@@ -60,10 +67,15 @@ def _method(certificate: Certificate, write: Writer) -> list[Block]:
         rows.append(("adjusted", [unit.adjusted.what]))
     if order is not None and order.agreed:
         rows.append(("agreed", [*order.agreed]))
+    rows += [
+        (key, [write.say(text, **blanks) for text, blanks in told])
+        for key, told in certificate.origins.items()
+    ]
     return [
         write.heading("method"),
         write.words("method_text", model=method.model, **told),
         write.pairs(rows),
+        *([] if order is None else [write.words("statement_supplied")]),
         write.heading("conditions"),
         write.table(
             [write.say("quantity"), write.say("value"), write.say("source")],
@@ -145,7 +157,12 @@ def _result_table(found: Found, write: Writer, which: str) -> Block:
     values = getattr(found, which).values
     head: list[Cell] = [write.say(key) for key in ("quantity", "value", "uncertainty", "k", "dof", "unit")]
     size, unit = (ARCSEC, "″") if which == "misalignments" else (1.0, "")
-    return write.table(head, [value_cells(value, size, unit) for value in values], "lrrrrl", _RESULT_COLUMNS)
+    rows = [value_cells(value, size, unit) for value in values]
+    for column in (1, 2):  # the value and U stand with their decimal points in line
+        shown = aligned([str(row[column]) for row in rows])
+        for row, cell in zip(rows, shown, strict=True):
+            row[column] = cell
+    return write.table(head, rows, "lrrrrl", _RESULT_COLUMNS)
 
 
 def _correlations(found: Found, write: Writer) -> Block:
@@ -157,6 +174,7 @@ def _correlations(found: Found, write: Writer) -> Block:
         "l" + "r" * len(values.values),
         ["auto"] + [1] * len(values.values),
         7.4,
+        whole=True,
     )
 
 
@@ -165,13 +183,22 @@ def _uncertainty(found: Found, write: Writer) -> list[Block]:
     rows: list[list[Cell]] = [
         [
             typeset(one.name.replace("_", " ")),
-            typeset(one.size),
+            typeset(_to_two_digits(one.size)),
             {"part": _size(one.u, one.unit), **_as_symbol(one.most_in)},
             {"lines": [typeset(one.origin), *([write.say("prior")] if one.prior else [])]},
         ]
         for one in found.contributions
     ]
     return [write.heading("budget"), write.table(head, rows, "llll", [1, 0.9, 0.9, 2])] if rows else []
+
+
+def _to_two_digits(size: str) -> str:
+    """Return the size of a source of error, "8.29 µV", as a page has it."""
+    number, _, unit = size.partition(" ")
+    try:
+        return f"{two_digits(float(number))} {unit}"
+    except ValueError:
+        return size
 
 
 def _size(u: float, unit: str) -> str:
@@ -199,9 +226,10 @@ def verdict_of(found: Found, write: Writer) -> list[Block]:
     result = found.verification
     if result is None:
         return [write.words("no_conformity")]
+    statement = write.say(str(stated(result)[0]))
     told = write.words(
         "conformity_text",
-        points=len(result.points), limit=typeset(f"{result.limit_g:g}"), statement=write.say(str(result.statement)),
+        points=len(result.points), limit=typeset(f"{result.limit_g:g}"), statement=statement,
     )  # fmt: skip
     worst, scale = result.worst, 1e6
     error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
@@ -209,9 +237,11 @@ def verdict_of(found: Found, write: Writer) -> list[Block]:
         ("delta_g", [f"|Δg| ≤ {error} µg, U = {U} µg"]),
         (
             "rule",
-            [write.say(_RULES.get(result.rule, "rule_guarded"), times=f"{result.decision.guard_band:g}")],
+            [write.say(_RULES.get(result.rule, "rule_guarded"), times=f"{result.decision.guard_band:.3g}")],
         ),
     ]
+    if result.missing:
+        rows.append(("missing", [str(result.missing)]))
     if result.passed or result.left_open:
         rows.append(("p_false_accept", [probability_in_words(result.p_outside)]))
     elif result.rejected:
@@ -235,10 +265,10 @@ def _conformity(found: Found, write: Writer) -> list[Block]:
             rounded(p.delta_g * scale, p.U * scale, sign=True),
             uncertainty(p.U * scale),
             f"{p.k:.3g}",
-            write.say(str(p.statement)),
+            write.say(str(statement)),
             optional_probability(p.p_false_accept),
         ]
-        for p in result.points
+        for p, statement in zip(result.points, stated(result)[1], strict=True)
     ]
     return [
         write.heading("conformity"),
@@ -278,7 +308,15 @@ def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, s
         write.words("record_text", run=record.run, events=record.events, head=record.head),
         *sealed,
         write.heading("attached"),
-        *([] if certificate.draft else [write.words("attached_text")]),
+        *(
+            []
+            if certificate.draft
+            else [
+                write.words(
+                    "attached_text", signed=write.say("unsigned" if certificate.unsigned else "signed_itself")
+                )
+            ]
+        ),
         write.table(head, rows, "lll", ["auto", 1, "auto"]),
     ]
 

@@ -1,16 +1,19 @@
-"""A certificate held against the record of its run, where that is at hand."""
+"""A certificate held against the laboratory's register and the record of its run, where these are at hand."""
 
 from __future__ import annotations
 
 import binascii
+import hashlib
 import json
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Final
 
 from bench.analysis.calibration import CalibrationError
 from bench.api.errors import Refused
 from bench.certificate.gather import found_by
+from bench.certificate.register import ISSUED, LINES, Register
 from bench.certificate.verify.shown import Shown
 from bench.run.folder import find_run
 from bench.run.manifest import MANIFEST, RecordError, sha256
@@ -19,7 +22,7 @@ from bench.run.seal import Seal
 
 @dataclass(frozen=True)
 class Held:
-    """What came of it: `wrong` says in what the record is another, `told` what was held against it.
+    """What came of it: `wrong` says in what the other one differs, `told` what was held against it.
 
     `open` says what was not proved by it.
     """
@@ -55,12 +58,71 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
     except (Refused, RecordError, CalibrationError) as error:
         return Held(wrong=f"{folder}: the record gives no result ({error})")
     if found.result_json.encode() == shown.files["result.json"]:
-        return Held(
-            told=f"the record in {folder} is what was sealed, and gives the same result to the last digit"
-        )
+        return Held(told=f"the record in {folder} is as it was, and gives the same result to the last digit")
     if shown.release != metadata.version("triaxial-bench"):
         return Held(
-            told=f"the record in {folder} is what was sealed",
+            told=f"the record in {folder} is as it was",
             open=f"that the record gives these results: release {shown.release} evaluated it, another than this",
         )
     return Held(wrong=f"{folder}: the record gives another result than the certificate")
+
+
+NOT_THERE: Final = "unknown"
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the register in `folder` says: the state of a number, "unknown" where it has none; `by` what, or why."""
+
+    folder: str
+    state: str
+    by: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether the register has the number."""
+        return self.state != NOT_THERE
+
+    @property
+    def holds(self) -> bool:
+        """Whether the certificate was issued, and neither amended nor revoked."""
+        return self.state == ISSUED
+
+    @property
+    def words(self) -> str:
+        """What is said behind the verdict; nothing of a certificate that holds."""
+        if self.holds:
+            return ""
+        return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
+
+
+def held_against_register(
+    number: str, form: str, content: bytes, file: Path, folder: Path | None
+) -> tuple[Standing | None, Held]:
+    """Hold a form ("pdf", "xml") of a certificate against the register in `folder`, or where its file stands.
+
+    None where no register is at hand: one that stands beside the file by chance, without the number, is none.
+    Raises `Refused` for a register that cannot be believed or read.
+    """
+    place = file.absolute().parent if folder is None else folder
+    if not (place / LINES).is_file():
+        if folder is None:
+            return None, Held()
+        raise Refused(
+            f"{place}: there is no register ({LINES}); nothing was issued with this laboratory file"
+        )
+    register = Register(place)
+    try:
+        register.read_lines()
+    except OSError as error:
+        raise Refused(f"{place}: cannot be read ({error.strerror})") from error
+    known = register.standings.get(number)
+    if known is None:
+        return (None if folder is None else Standing(str(place), NOT_THERE)), Held()
+    name = f"{number}.{form}"
+    standing = Standing(str(place), known.state, known.by)
+    if known.entry.files.get(name) != hashlib.sha256(content).hexdigest():
+        return standing, Held(
+            wrong=f"the register has another SHA-256 of {name}: this is not the issued file"
+        )
+    return standing, Held(told=f"the register in {place} has the SHA-256 of this file as that of {name}")
