@@ -97,6 +97,7 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     status, _, err = bench(*revoke)
     assert (status, "it was revoked: wrong unit" in err) == (2, True)
     _, out, _ = bench("certificate", "register", *desk[:2])
+    assert out.count("not signed") == 2
     assert "amended (SIM-2026-0002)" in out
     assert "revoked (wrong unit)" in out
     assert bench("certificate", "finished", *desk)[1].startswith("finished: issued as SIM-2026-0003")

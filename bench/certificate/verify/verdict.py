@@ -164,15 +164,14 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
         _against_register(verdict, verdict.shown, file, content, register)
     if verdict.shown is not None and verdict.intact:
         _against_record(verdict, verdict.shown, runs)
+    if verdict.unsigned:
+        verdict.why_not_trusted = None if trust is None else "nobody signed it"
+    elif verdict.why_not_trusted is None:
+        verdict.not_proved.insert(0, UNKNOWN)
     verdict.not_proved += () if verdict.unsigned else NOT_PROVED
     verdict.not_proved.append(NOT_MEASURED)
-    if verdict.unsigned:
-        verdict.not_proved += [] if verdict.standing else [UNSIGNED]
-        verdict.why_not_trusted = None if trust is None else "nobody signed it"
-    else:
-        verdict.not_proved += [] if verdict.standing else [REGISTER_NOT_HERE]
-        if verdict.why_not_trusted is None:
-            verdict.not_proved.insert(0, UNKNOWN)
+    if verdict.intact and verdict.standing is None:
+        verdict.not_proved.append(UNSIGNED if verdict.unsigned else REGISTER_NOT_HERE)
     return verdict
 
 
