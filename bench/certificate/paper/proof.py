@@ -140,7 +140,7 @@ def _results(certificate: Certificate, write: Writer) -> list[Block]:
         _result_table(found, write, "coefficients"),
         write.words("uncertainty_text", k=f"{certificate.k:.3g}", coverage=coverage),
         write.heading("correlations", 2),
-        write.words("correlations_text"),
+        {**write.words("correlations_text"), "sticky": True},
         _correlations(found, write),
         write.heading("inverse", 2),
         _result_table(found, write, "inverse"),
@@ -162,7 +162,7 @@ def _result_table(found: Found, write: Writer, which: str) -> Block:
         shown = aligned([str(row[column]) for row in rows])
         for row, cell in zip(rows, shown, strict=True):
             row[column] = cell
-    return write.table(head, rows, "lrrrrl", _RESULT_COLUMNS)
+    return write.table(head, rows, "lrrrrl", _RESULT_COLUMNS, whole=True)
 
 
 def _correlations(found: Found, write: Writer) -> Block:
@@ -272,7 +272,7 @@ def _conformity(found: Found, write: Writer) -> list[Block]:
     ]
     return [
         write.heading("conformity"),
-        write.table(head, rows, "llrrrlr", [0.8, 1, 0.8, 0.7, 0.5, 1.1, 1.2]),
+        write.table(head, rows, "llrrrlr", [0.8, 1, 0.8, 0.7, 0.5, 1.1, 1.2], whole=len(rows) < 25),
         write.figure(_drawn(verification_points, result), "figure_points", 140.0),
     ]
 

@@ -10,8 +10,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from bench.analysis.calibration import CalibrationError
 from bench.api.errors import Refused
+from bench.certificate.content import Found
 from bench.certificate.gather import found_by
 from bench.certificate.register import ISSUED, LINES, Register
 from bench.certificate.verify.shown import Shown
@@ -36,7 +39,8 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
     """Hold a certificate against its run among `runs`; None where that is not there, or is another of its name.
 
     The record is that of the certificate where it begins with the same inputs (`run.json`): then its chain must end
-    as the seal says, and its readings must give the result to the last digit.
+    as the seal says, and its readings must give the result: to the last digit on the computer that gave it first,
+    within a small part of u on another, whose libraries round otherwise.
     """
     try:
         seal = Seal.from_json(json.loads(shown.files["seal.json"]))
@@ -59,12 +63,40 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
         return Held(wrong=f"{folder}: the record gives no result ({error})")
     if found.result_json.encode() == shown.files["result.json"]:
         return Held(told=f"the record in {folder} is as it was, and gives the same result to the last digit")
+    if _as_good_as(found, shown):
+        return Held(
+            told=f"the record in {folder} is as it was, and gives the same result within {_SAME:g} u, as another "
+            "computer may round it"
+        )
     if shown.release != metadata.version("triaxial-bench"):
         return Held(
             told=f"the record in {folder} is as it was",
             open=f"that the record gives these results: release {shown.release} evaluated it, another than this",
         )
     return Held(wrong=f"{folder}: the record gives another result than the certificate")
+
+
+_SAME: Final = 1e-6
+"""Results that differ by no more, in units of u, are the same ones rounded otherwise."""
+
+
+def _as_good_as(found: Found, shown: Shown) -> bool:
+    """Whether coefficients, covariance and verdict of a record are those of a certificate but for rounding."""
+    own = found.coefficients
+    u = np.array([one.u for one in own.values])
+    off = np.abs(
+        [mine.value - theirs.value for mine, theirs in zip(own.values, shown.coefficients, strict=True)]
+    )
+    apart = np.abs(own.covariance - np.array(shown.covariance))
+    same = bool(np.all(off <= _SAME * u) and np.all(apart <= _SAME * np.outer(u, u)))
+    verdicts = [
+        json.loads(text).get("verification") for text in (found.result_json, shown.files["result.json"])
+    ]
+    mine, theirs = (
+        {name: (one or {}).get(name) for name in ("passed", "statement", "limit_g", "rule")}
+        for one in verdicts
+    )
+    return same and mine == theirs
 
 
 NOT_THERE: Final = "unknown"

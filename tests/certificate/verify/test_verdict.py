@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -123,6 +123,24 @@ def test_the_record_is_held_against_it(written, tmp_path):
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.headline == "CHANGED"
     assert "sealed were" in verdict.wrong[0]
+
+
+@pytest.mark.parametrize(("by_u", "intact"), [(1e-9, True), (1e-3, False)])
+def test_what_another_computer_rounds_otherwise_is_no_change(made, tmp_path, by_u, intact):
+    """A certificate whose result is off by so much of u from what its record gives here."""
+    shutil.copytree(RECORDED, tmp_path / "runs" / "finished")
+    found = made.certificate.found
+    first, *others = found.coefficients.values
+    moved = replace(first, value=first.value + by_u * first.u)
+    text = found.result_json.replace(f'"value": {first.value!r}', f'"value": {moved.value!r}', 1)
+    assert text != found.result_json
+    values = replace(found.coefficients, values=(moved, *others))
+    other = replace(made.certificate, found=replace(found, coefficients=values, result_json=text))
+    (tmp_path / "c.xml").write_bytes(sign_xml(document_of(other), a_signatory(), NOW))
+    verdict = looked_at(tmp_path / "c.xml", runs=tmp_path / "runs")
+    assert verdict.intact is intact
+    assert any("within 1e-06 u" in text for text in verdict.agreed) is intact
+    assert any("gives another result" in text for text in verdict.wrong) is not intact
 
 
 def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
