@@ -244,11 +244,13 @@ def _of_temperature(source: Source) -> tuple[float, str]:
     A thermometer at the block tells it; else it is that of the air, as far as the block may be from it.
     """
     known = {error.name: error for error in hidden_sources(source.bench, source.model)}
-    at_block = source.bench.instruments.thermometer is not None
-    names = ("thermometer",) if at_block else ("temperature", "thermometer")
-    found = [known[name] for name in names if name in known]
-    origins = (error.origin.partition("; ")[0] for error in found)
-    return math.hypot(*(error.u for error in found)), "; ".join(origins)
+    thermometer, band = known.get("thermometer"), known["temperature"]
+    if thermometer is not None and source.bench.instruments.thermometer is not None:
+        return thermometer.u, thermometer.origin
+    of_band = band.origin.partition("; ")[0]  # what follows are the block's temperature coefficients
+    if thermometer is None:
+        return band.u, of_band
+    return math.hypot(band.u, thermometer.u), f"{of_band}; {thermometer.origin}"
 
 
 def _used(readings: Readings) -> Readings:
