@@ -104,9 +104,13 @@ NOT_THERE: Final = "unknown"
 
 @dataclass(frozen=True)
 class Standing:
-    """What the register in `folder` says: the state of a number, "unknown" where it has none; `by` what, or why."""
+    """What the register in `folder` says: the state of a number, "unknown" where it has none; `by` what, or why.
+
+    `named` tells that whoever asks named it, and not that it stands beside the file.
+    """
 
     folder: str
+    named: bool
     state: str
     by: str = ""
 
@@ -150,9 +154,9 @@ def held_against_register(
         raise Refused(f"{place}: cannot be read ({error.strerror})") from error
     known = register.standings.get(number)
     if known is None:
-        return (None if folder is None else Standing(str(place), NOT_THERE)), Held()
+        return (None if folder is None else Standing(str(place), True, NOT_THERE)), Held()
     name = f"{number}.{form}"
-    standing = Standing(str(place), known.state, known.by)
+    standing = Standing(str(place), folder is not None, known.state, known.by)
     if known.entry.files.get(name) != hashlib.sha256(content).hexdigest():
         return standing, Held(
             wrong=f"the register has another SHA-256 of {name}: this is not the issued file"

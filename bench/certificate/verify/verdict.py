@@ -43,8 +43,8 @@ REGISTER_NOT_HERE: Final = (
     "that it still holds: the laboratory's register knows what was amended or revoked, and is not at hand"
 )
 UNSIGNED: Final = (
-    "who made it, nor that it is as it was issued: nobody signed it, and the register is not at hand; "
-    "--laboratory FILE names it"
+    "who made it, nor that it is as it was issued: nobody signed it, and no register was named that knows; "
+    "--laboratory FILE names the laboratory's"
 )
 UNKNOWN: Final = (
     "who signed: the certificate in it says a name, and anybody can write one; --trust FILE names the laboratory's "
@@ -84,10 +84,16 @@ class Verdict:
     def accepted(self) -> bool:
         """Whether it is intact, by whom the trust file stands for, and holds, as far as that was asked.
 
-        What nobody signed is accepted by the register alone.
+        What nobody signed is accepted by a register that was named alone: one beside the file anybody can write.
         """
-        holds = not self.unsigned if self.standing is None else self.standing.holds
-        return self.intact and holds and not self.why_not_trusted
+        holds = self.standing is None or self.standing.holds
+        vouched = not self.unsigned or self._by_register
+        return self.intact and holds and vouched and not self.why_not_trusted
+
+    @property
+    def _by_register(self) -> bool:
+        """Whether a register that was named has this very file."""
+        return self.standing is not None and self.standing.named and self.standing.known
 
     @property
     def headline(self) -> str:
@@ -95,8 +101,7 @@ class Verdict:
         if not self.intact:
             return "CHANGED" if self.issued else "NO CERTIFICATE"
         if self.unsigned:
-            known = self.standing is not None and self.standing.known
-            of_signer = "not signed" + (", unchanged since it was issued" if known else "")
+            of_signer = "not signed" + (", unchanged since it was issued" if self._by_register else "")
         elif self.why_not_trusted is None:
             of_signer = "intact, signer unknown"
         else:
@@ -170,8 +175,10 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
         verdict.not_proved.insert(0, UNKNOWN)
     verdict.not_proved += () if verdict.unsigned else NOT_PROVED
     verdict.not_proved.append(NOT_MEASURED)
-    if verdict.intact and verdict.standing is None:
-        verdict.not_proved.append(UNSIGNED if verdict.unsigned else REGISTER_NOT_HERE)
+    if verdict.intact and verdict.unsigned and not (verdict.standing and verdict.standing.named):
+        verdict.not_proved.append(UNSIGNED)
+    elif verdict.intact and verdict.standing is None:
+        verdict.not_proved.append(REGISTER_NOT_HERE)
     return verdict
 
 

@@ -47,20 +47,25 @@ def issued(folder, forms, number=NUMBER, **data):
 
 
 def intact(folder, forms):
+    return issued(folder / "register", forms), folder / "register"
+
+
+def beside(folder, forms):
+    """The register was not named, but stands beside the file: anybody can write one."""
     return issued(folder / "register", forms), None
 
 
 def changed(folder, forms):
     file = issued(folder / "register", forms)
     file.write_bytes(file.read_bytes() + b"\n")
-    return file, None
+    return file, folder / "register"
 
 
 def revoked(folder, forms):
     file = issued(folder / "register", forms)
     with opened(folder / "register") as register:
         register.revoke(Entry(REVOKED, NUMBER, NOW.isoformat(), "A", {"reason": "wrong unit"}))
-    return file, None
+    return file, folder / "register"
 
 
 def amended(folder, forms):
@@ -87,13 +92,14 @@ def nowhere(folder, forms):
         (True, intact, SIGNED, True),
         (True, changed, "CHANGED", False),
         (True, revoked, f"{SIGNED}, REVOKED (wrong unit)", False),
-        (True, amended, f"{SIGNED}, AMENDED (SIM-2026-0002)", False),
+        (True, beside, SIGNED, True),
         (True, unknown, f"{SIGNED}, UNKNOWN TO THE REGISTER", False),
         (True, nowhere, SIGNED, True),
         (False, intact, UNSIGNED, True),
         (False, changed, "CHANGED", False),
         (False, revoked, f"{UNSIGNED}, REVOKED (wrong unit)", False),
-        (False, amended, f"{UNSIGNED}, AMENDED (SIM-2026-0002)", False),
+        (False, amended, "not signed, AMENDED (SIM-2026-0002)", False),
+        (False, beside, "not signed", False),
         (False, unknown, "not signed, UNKNOWN TO THE REGISTER", False),
         (False, nowhere, "not signed", False),
     ],
@@ -107,20 +113,21 @@ def test_what_is_said_of_a_certificate_by_signature_and_register(
     told = verdict.to_json()
     there = [name for name in ("signed", "unsigned") if told[name] is not None]
     assert there == ([] if headline == "CHANGED" else ["signed" if signed else "unsigned"])
-    at_hand = any("register" in text and "not at hand" in text for text in verdict.not_proved)
-    assert at_hand == (happened is nowhere)
+    open_to_doubt = any("register" in text for text in verdict.not_proved)
+    not_named = happened is nowhere or (not signed and happened in {beside, amended})
+    assert open_to_doubt == not_named
 
 
 def test_nothing_is_said_of_a_signer_who_is_not_there(forms, tmp_path):
-    file, _ = intact(tmp_path, forms[False])
-    verdict = verify_certificate(file, None, NOWHERE)
+    file, register = intact(tmp_path, forms[False])
+    verdict = verify_certificate(file, None, NOWHERE, register)
     assert (verdict.signer, verdict.why_not_trusted) == ("", None)
     assert not any("signer" in text for text in (*verdict.agreed, *verdict.not_proved))
     trust = tmp_path / "trust.pem"
     from cryptography.hazmat.primitives.serialization import Encoding
 
     trust.write_bytes(a_signatory().chain[0].public_bytes(Encoding.PEM))
-    verdict = verify_certificate(file, trust, NOWHERE)
+    verdict = verify_certificate(file, trust, NOWHERE, register)
     assert (verdict.accepted, verdict.why_not_trusted) == (False, "nobody signed it")
 
 
