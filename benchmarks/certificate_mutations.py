@@ -67,7 +67,7 @@ def signed_pair(run: Path, folder: Path) -> Pair:
     laboratory = load_laboratory(shipped_folder(CERTIFICATE) / "laboratory.yaml")
     order = load_order(shipped_folder(CERTIFICATE) / "order.yaml")
     now = datetime.now(UTC).replace(microsecond=0)
-    issue = Issue("SIM-2026-0001", now.isoformat(), laboratory.authorised[0])
+    issue = Issue("SIM-2026-0001", now.isoformat(), laboratory.authorised[0], signed_by=laboratory.name)
     certificate = certificate_of(run.name, run.parent, laboratory, order, issue)
     trust, _ = new_certificate_key(folder / "keys" / "laboratory.pem", laboratory.name, None, now)
     signatory = signatory_of(str(folder / "keys" / "laboratory.pem"), None, lambda: b"", now)

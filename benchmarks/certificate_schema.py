@@ -46,7 +46,8 @@ CHANGES = (
 def certificates(desk: Desk, name: str) -> Iterator[tuple[str, Certificate]]:
     """Yield certificates of all kinds with what each is."""
     laboratory, order = desk.laboratory, desk.order
-    issue = Issue("SIM-2026-0002", utc_now().isoformat(timespec="seconds"), laboratory.authorised[0])
+    now = utc_now().isoformat(timespec="seconds")
+    issue = Issue("SIM-2026-0002", now, laboratory.authorised[0], signed_by="Laboratory")
     plain = certificate_of(name, desk.runs, laboratory, order, issue)
     yield "plain", plain
     yield "two languages", replace(plain, texts=(texts_of("en"), texts_of("de")))

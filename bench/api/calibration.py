@@ -23,7 +23,7 @@ from bench.api.prior import PriorTaken, with_prior
 from bench.api.provenance import record_head
 from bench.api.source import Source
 from bench.base.arrays import Floats, u_of
-from bench.base.numbers import fixed, places, scale_for, two_digits
+from bench.base.numbers import fixed, places, scale_for, uncertainty
 from bench.base.tables import as_html, as_text, table
 from bench.base.whole import write_whole
 from bench.exchange.result import BlockResult
@@ -196,7 +196,7 @@ class CalibrationResult:
             size = scale_for(float(u[j]), "V")
             per = "" if name.startswith("U0") else "/g"
             origin = f"{source.origin} (prior)" if source.prior else source.origin
-            cost = f"{two_digits(float(u[j]) / size.size)} {size.unit}{per}"
+            cost = f"{uncertainty(float(u[j]) / size.size)} {size.unit}{per}"
             shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)
         return shown
 

@@ -17,6 +17,9 @@ PUNCTUATION_SPACE: Final = "\N{PUNCTUATION SPACE}"
 PLACES_WITHOUT_U: Final = 9
 MOST_PLACES: Final = 15
 
+_MOST_OFF: Final = 0.03
+"""Rounding takes no more off an uncertainty than this part of it."""
+
 _PREFIXES: Final = (("", 1.0), ("m", 1e-3), ("µ", 1e-6), ("n", 1e-9))
 _PRINTED: Final = {"m/s^2": "m/s²"}
 _TAKES_PREFIX: Final = frozenset({"V", "g", "m/s^2"})
@@ -78,9 +81,22 @@ def rounded(value: float, u: float, *, sign: bool = False) -> str:
     return fixed(value, places(u), sign=sign)
 
 
-def two_digits(u: float) -> str:
-    """Return a size, such as an uncertainty, with two significant digits."""
-    return fixed(u, places(u)) if u > 0 else "0" if u == 0 else "–"
+def two_digits(size: float) -> str:
+    """Return a size with two significant digits."""
+    return fixed(size, places(size)) if size > 0 else "0" if size == 0 else "–"
+
+
+def uncertainty(u: float) -> str:
+    """Return u or U with two significant digits; up where the nearest would take more than 3 % off it.
+
+    So 10.47 is written 11, and 28.05 is written 28, as in JCGM 100:2008, 7.2.6. `rounded` rounds the estimate to
+    the same place: rounding up never reaches the next power of ten.
+    """
+    if not math.isfinite(u) or u <= 0.0:
+        return two_digits(u)
+    decimals = places(u)
+    step = 10.0**-decimals
+    return fixed(u + step if round(u, decimals) < (1.0 - _MOST_OFF) * u else u, decimals)
 
 
 def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
@@ -99,7 +115,7 @@ def concise(value: float, u: float) -> str:
     """Return value and u in one: −2.177087(16), u in units of the last digit; 12.3(1.2) where u exceeds 1."""
     if not math.isfinite(u) or u <= 0.0:
         return rounded(value, u)
-    text = fixed(u, places(u))
+    text = uncertainty(u)
     if u < 1.0:
         text = text.replace(".", "").lstrip("0")
     return f"{rounded(value, u)}({text})"

@@ -19,7 +19,9 @@ from bench.analysis.calibration.conformity import (
     NON_BINARY,
     SIMPLE,
     DecisionRule,
+    Statement,
 )
+from bench.analysis.calibration.verdict_words import by_rule
 from bench.api.calibration import CalibrationResult
 from bench.api.verification import VerificationResult
 from bench.base.arrays import Floats, u_of
@@ -57,12 +59,11 @@ class Values:
 
     @classmethod
     def of(
-        cls, named: Mapping[str, str], values: Floats, covariance: Floats, k: float, dof: Floats | None = None
+        cls, named: Mapping[str, str], values: Floats, covariance: Floats, k: float, dof: Floats
     ) -> Values:
-        """Return the results whose names and units are `named`; `dof` (n,) are infinite where left out."""
+        """Return the results whose names and units are `named`, with degrees of freedom `dof` (n,)."""
         sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
-        freedom = [math.inf] * len(values) if dof is None else dof.tolist()
-        rows = zip(named.items(), sizes, freedom, strict=True)
+        rows = zip(named.items(), sizes, dof.tolist(), strict=True)
         found = (Value(name, value, u, k * u, k, nu, unit) for (name, unit), (value, u), nu in rows)
         return cls(tuple(found), covariance)
 
@@ -196,12 +197,16 @@ class Before:
 
 @dataclass(frozen=True)
 class Issue:
-    """What happens once: the number, when it was issued (ISO 8601, to the second), who authorised it."""
+    """What happens once: the number, when it was issued (ISO 8601, to the second), who authorised it.
+
+    `signed_by` is whom the certificate of the key names, empty where nobody signs.
+    """
 
     number: str
     issued: str
     authorised_by: Person
     before: Before | None = None
+    signed_by: str = ""
 
     @property
     def day(self) -> str:
@@ -239,6 +244,11 @@ class Certificate:
     def draft(self) -> bool:
         """Whether it has no number."""
         return self.issue is None
+
+    @property
+    def unsigned(self) -> bool:
+        """Whether it has a number and nobody signs it: every page says so."""
+        return self.issue is not None and not self.issue.signed_by
 
     @property
     def simulated(self) -> bool:
@@ -280,6 +290,35 @@ class Certificate:
         return "" if self.unit is None else self.unit.state
 
     @property
+    def origins(self) -> dict[str, list[tuple[str, dict[str, str]]]]:
+        """What is not the laboratory's own: sampling, external providers, the customer's data.
+
+        Keys of texts: a head, and sentences with what fills their blanks. Empty without an order. Source:
+        ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.
+        """
+        order = self.order
+        if order is None:
+            return {}
+        sampling = ("given", {"text": order.sampling}) if order.sampling else ("sampling_none", {})
+        external = [("external_text", {"what": one.what, "by": one.by}) for one in order.external]
+        supplied = [
+            ("supplied_affects" if one.affects_validity else "given", {"text": one.what})
+            for one in order.supplied
+        ]
+        return {
+            "sampling": [sampling],
+            "external": external or [("none_stated", {})],
+            "supplied": [("supplied_order", {}), *supplied],
+        }
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The keys of the statements of the first page."""
+        supplied = () if self.order is None else self.order.supplied
+        affected = ("statement_affected",) if any(one.affects_validity for one in supplied) else ()
+        return ("statement_item", *affected, "statement_reproduction")
+
+    @property
     def valid_instruments(self) -> bool:
         """Whether every instrument that the result rests on has a certificate that is its own."""
         return not uncertified(self.found)
@@ -293,6 +332,13 @@ class Certificate:
             Attached("readings.csv", "text/csv", "the readings", found.readings_csv.encode()),
             Attached("seal.json", "application/json", "the record of the run", found.record.seal.encode()),
         )
+
+
+def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
+    """Return the statement of conformity as its rule makes it, on the whole and on each verification point."""
+    points = tuple(by_rule(one.statement, of.rule, passed=one.passed) for one in of.points)
+    missing = (Statement.NOT_COMPLETE,) if of.missing else ()
+    return max((*points, *missing), key=list(Statement).index), points
 
 
 def uncertified(found: Found) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
@@ -12,8 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.budget.sources import hidden_sources
+from bench.analysis.budget.whole import dof_through
 from bench.analysis.calibration.conformity import DecisionRule
 from bench.analysis.calibration.derived import INVERSE, MISALIGNMENTS
+from bench.analysis.calibration.verdict_words import global_risk_in_words
 from bench.api.calibration import CalibrationResult, calibration_of, coefficient_unit
 from bench.api.errors import Refused
 from bench.api.origin import origin_beside
@@ -148,6 +151,8 @@ def found_by(
     verdict = None
     if len(source.readings.verification()):
         verdict = verification_of(result.source, result, asked, agreed)
+    # what a statement means and what to do about it is for the operator, and speaks of guard bands that no rule has
+    of_all = () if verdict is None else global_risk_in_words(verdict.verification)
     record, begun = _record(run), _begun(source)
     return Found(
         record=record,
@@ -164,7 +169,7 @@ def found_by(
         verdict=verdict,
         result_json=_result_json(run, result, verdict),
         readings_csv=format_csv(source.as_read),
-        notes=tuple(_plain(note, run) for note in (*result.notes, *(verdict.sentences if verdict else ()))),
+        notes=tuple(_plain(note, run) for note in (*result.notes, *of_all)),
         simulated=source.simulated,
     )
 
@@ -176,8 +181,14 @@ def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
     n, angles = derived.inverse, derived.misalignments
     return {
         "coefficients": Values.of(units, own.block.vector, own.covariance, k, own.dof),
-        "inverse": Values.of(inverted, n.values, n.covariance, k),
-        "misalignments": Values.of(dict.fromkeys(MISALIGNMENTS, "rad"), angles.values, angles.covariance, k),
+        "inverse": Values.of(inverted, n.values, n.covariance, k, dof_through(own, n.jacobian)),
+        "misalignments": Values.of(
+            dict.fromkeys(MISALIGNMENTS, "rad"),
+            angles.values,
+            angles.covariance,
+            k,
+            dof_through(own, angles.jacobian),
+        ),
     }
 
 
@@ -227,7 +238,8 @@ def _conditions(source: Source) -> Iterator[Condition]:
     told = sorted({text for text in used.extra.get(TEMPERATURE_SOURCE, ()) if text})
     span = _span(used.temperature_c)
     if span is not None:
-        yield Condition("temperature", *span, "°C", source=", ".join(told))
+        of_block, by = _of_temperature(source)
+        yield Condition("temperature", *span, "°C", u=of_block, source="; ".join([*told, by]))
     if CHAMBER_C in used.extra and (span := _span(_numbers(used, CHAMBER_C))) is not None:
         yield Condition("chamber", *span, "°C")
     for rail in rails_of(used.extra):
@@ -241,6 +253,21 @@ def _conditions(source: Source) -> Iterator[Condition]:
         if error.name == "gravity":
             u, origin = error.u * g, error.origin
     yield Condition("gravity", g, g, "m/s²", u=u, source=origin)
+
+
+def _of_temperature(source: Source) -> tuple[float, str]:
+    """Return the standard uncertainty of the block's temperature, K, and where it is from.
+
+    A thermometer at the block tells it; else it is that of the air, as far as the block may be from it.
+    """
+    known = {error.name: error for error in hidden_sources(source.bench, source.model)}
+    thermometer, band = known.get("thermometer"), known["temperature"]
+    if thermometer is not None and source.bench.instruments.thermometer is not None:
+        return thermometer.u, thermometer.origin
+    of_band = band.origin.partition("; ")[0]  # what follows are the block's temperature coefficients
+    if thermometer is None:
+        return band.u, of_band
+    return math.hypot(band.u, thermometer.u), f"{of_band}; {thermometer.origin}"
 
 
 def _used(readings: Readings) -> Readings:

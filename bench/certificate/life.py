@@ -212,7 +212,9 @@ def _write(
     now = desk.now()
     simulated = certificate.simulated
     number = register.number_after(laboratory.number(n, now.year, simulated=simulated) for n in count(1))
-    whole = replace(certificate, issue=Issue(number, issued_at(now), person, before))
+    signed_by = None if desk.signatory is None else desk.signatory.name
+    issue = Issue(number, issued_at(now), person, before, signed_by or "")
+    whole = replace(certificate, issue=issue)
     refuse_incomplete(whole)
     bodies = bodies_of(whole, desk.schemas)
     contents = signed(bodies, whole, desk.signatory, now)
@@ -226,7 +228,7 @@ def _write(
         "customer": None if whole.order is None else whole.order.customer.name,
         "simulated": simulated,
         "before": None if before is None else vars(before),
-        "signed_by": None if desk.signatory is None else desk.signatory.name,
+        "signed_by": signed_by,
         "bodies": bodies.sha256(),
         "made_from": {
             "laboratory": register.keep(desk.laboratory_file.text.encode()),
@@ -235,7 +237,7 @@ def _write(
             "logo": None if logo is None else register.keep(logo.read_bytes()),
         },
     }
-    entry = Entry(ISSUED, number, whole.issue.issued if whole.issue else "", person.name, data)
+    entry = Entry(ISSUED, number, issue.issued, person.name, data)
     register.issue(entry, contents)
     return Outcome(found.record.run, number, tuple(register.folder / name for name in contents))
 
@@ -299,6 +301,7 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
         entry.time,
         Person(name=entry.by, role=entry.data["role"]),
         None if before is None else Before(**before),
+        entry.data["signed_by"] or "",
     )
     certificate = certificate_of(entry.data["run"], runs, laboratory, order, issue)
     if certificate.found.record.head != entry.data["record"]["head"]:

@@ -24,6 +24,23 @@ class Adjusted(FileModel):
     as_found: str | None = None
 
 
+class External(FileModel):
+    """Results that another body provided: `what` they are, `by` whom (ISO/IEC 17025:2017, 7.8.2.1 p)."""
+
+    what: str
+    by: str
+
+
+class Supplied(FileModel):
+    """Data of the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
+
+    `affects_validity` is false only where a wrong value could not make a result wrong.
+    """
+
+    what: str
+    affects_validity: bool = True
+
+
 class UnitOrder(FileModel):
     """A unit of an order: when it came, in which condition, and whether the run shows it as found or as left.
 
@@ -55,7 +72,9 @@ class Order(StatedRule):
 
     `rule` and `guard_band` are the decision rule that was agreed with the customer, before what the record states
     (ISO/IEC 17025:2017, 7.1.3), `agreed` what else was; `without_certificates` why the customer takes results of
-    instruments that have none.
+    instruments that have none. `sampling` names plan and method where units were chosen out of many, by whom;
+    without it the units are those that the customer gave. `external` are results of other bodies, `supplied` data of the
+    customer.
     """
 
     customer: Contact
@@ -65,6 +84,9 @@ class Order(StatedRule):
     place: str | None = None
     agreed: tuple[str, ...] = ()
     without_certificates: str | None = None
+    sampling: str | None = None
+    external: tuple[External, ...] = ()
+    supplied: tuple[Supplied, ...] = ()
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:

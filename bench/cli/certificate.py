@@ -112,9 +112,14 @@ def issue(
         _print(outcome, on, several=len(runs_) > 1)
     printing.write_json([{"certificates": done}], json)
     issued = sum(one["why"] is None for one in done)
-    if not draft and key is None and any(one["number"] and not one["issued_before"] for one in done):
-        printing.aside("bench: not signed; --key FILE signs what is issued")
+    if not draft and any(one["number"] and not one["issued_before"] for one in done):
+        _say_unsigned(key)
     return 0 if issued == len(done) else 1 if issued else 2
+
+
+def _say_unsigned(key: str | None) -> None:
+    if key is None:
+        printing.aside("bench: not signed; --key FILE signs what is issued")
 
 
 def _print(outcome: Outcome, on: Any, *, several: bool) -> None:
@@ -155,6 +160,7 @@ def amend(
     outcome = life.amend(number, run, desk, reason, replaced=replace)
     printing.write_json([{"certificates": [outcome.to_json()]}], json)
     _print(outcome, printing.console(json=json), several=False)
+    _say_unsigned(key)
     return 0
 
 
@@ -217,6 +223,7 @@ def register(
     printing.write_json([told], json)
     for row in found.rows:
         state = row["state"] + (f" ({row['by']})" if row["by"] else "")
+        state += "" if row["signed_by"] else ", not signed"
         on.print(f"{row['number']}  {row['issued'][:10]}  {row['unit']}  {row['run']}  {state}")
     for file in files:
         on.print(f"wrote {file}")
@@ -235,15 +242,25 @@ def verify(
             "--trust", metavar="FILE", help="Certificates (PEM) of signers or authorities that are believed."
         ),
     ] = None,
+    laboratory: Annotated[
+        Path | None,
+        typer.Option(
+            "--laboratory",
+            metavar="FILE",
+            help="Laboratory file: its register is asked (default: the one where FILE stands).",
+        ),
+    ] = None,
     json: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> int:
-    """Whether a certificate is intact and who signed it; shows what was signed; exit status 1 where it is not."""
+    """Whether a certificate is intact, who signed it and whether it still holds; exit status 1 where not."""
+    from bench.certificate.laboratory import load_laboratory
     from bench.certificate.verify.verdict import verify_certificate
     from bench.cli.certificate_verdict import print_verdict
 
     printing.check_target(json)
-    verdict = verify_certificate(file, trust, runs)
+    register = None if laboratory is None else load_laboratory(laboratory).register_folder
+    verdict = verify_certificate(file, trust, runs, register)
     printing.write_json([verdict.to_json()], json)
     print_verdict(verdict, printing.console(json=json))
     return 0 if verdict.accepted else 1

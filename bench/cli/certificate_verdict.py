@@ -1,10 +1,10 @@
-"""A verdict on a certificate, told at a terminal: what was signed, by whom, what it does not prove."""
+"""A verdict on a certificate, told at a terminal: what it says, who signed it, what that does not prove."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bench.base.numbers import rounded, two_digits
+from bench.base.numbers import rounded, uncertainty
 from bench.base.visible import visible
 from bench.cli import printing
 
@@ -20,8 +20,9 @@ def print_verdict(verdict: Verdict, on: Any) -> None:
         on.print(f"  {visible(why)}")
     if not verdict.intact:
         return
-    on.print(f"signer: {visible(verdict.signer)}, certificate SHA-256 {verdict.fingerprint}")
-    on.print(f"signed at: {verdict.signed_at}")
+    if not verdict.unsigned:
+        on.print(f"signer: {visible(verdict.signer)}, certificate SHA-256 {verdict.fingerprint}")
+        on.print(f"signed at: {verdict.signed_at}")
     if verdict.why_not_trusted:
         on.print(f"not trusted: {visible(verdict.why_not_trusted)}")
     if verdict.shown is not None:
@@ -34,7 +35,7 @@ def print_verdict(verdict: Verdict, on: Any) -> None:
 
 
 def _print_shown(shown: Shown, on: Any) -> None:
-    """Print what was signed, and nothing else."""
+    """Print what it says."""
     if shown.simulated:
         on.print("SIMULATED: it certifies nothing of any real unit")
     told = {
@@ -52,6 +53,10 @@ def _print_shown(shown: Shown, on: Any) -> None:
     table = printing.table("coefficient", ">value", ">U", ">k", "")
     for one in shown.coefficients:
         table.add_row(
-            visible(one.name), rounded(one.value, one.U), two_digits(one.U), f"{one.k:.3g}", visible(one.unit)
+            visible(one.name),
+            rounded(one.value, one.U),
+            uncertainty(one.U),
+            f"{one.k:.3g}",
+            visible(one.unit),
         )
     on.print(table)

@@ -17,11 +17,12 @@ from bench.run.folder import Run
 
 @dataclass(frozen=True)
 class Issued:
-    """A certificate of a run: its number, what is true of it now and by what, and its files."""
+    """A certificate of a run: its number, what is true of it now and by what, whether it is signed, its files."""
 
     number: str
     state: str
     by: str
+    signed: bool
     files: tuple[str, ...]
 
 
@@ -43,7 +44,13 @@ class Certificates:
         if not head or register is None:
             return ()
         return tuple(
-            Issued(number, one.state, one.by, tuple(sorted(one.entry.files)))
+            Issued(
+                number,
+                one.state,
+                one.by,
+                bool(one.entry.data.get("signed_by")),
+                tuple(sorted(one.entry.files)),
+            )
             for number, one in register.standings.items()
             if one.entry.data.get("run") == run.name and one.entry.data.get("record", {}).get("head") == head
         )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from bench.base.numbers import fixed, places, scale_for, two_digits
+from bench.base.numbers import rounded, scale_for, uncertainty
 from bench.base.whole import from_text
 from bench.panel.access.people import Refusal
 from bench.panel.folder import read_page
@@ -146,16 +146,16 @@ def _in_words(probability: Any) -> str:
 def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     limit = float(told["limit_g"])
     scale = scale_for(limit, "g")
-    points = [_point(one, scale.size) for one in told["points"]]
+    points = [_point(one, scale.size, str(told.get("rule", ""))) for one in told["points"]]
     worst = max(told["points"], key=lambda one: abs(float(one["delta_g"])))
-    statement = str(told.get("statement") or ("pass" if told["passed"] else "fail"))
+    statement = _statement(told, str(told.get("rule", "")))
     state = _STATES.get(statement, "none")
     expanded = _expanded(worst) / scale.size
     return VerdictTold(
         state=state,
         words=f"{_MARKS.get(state, '–')} {({'pass': 'passed', 'fail': 'failed'}).get(statement, statement)}",
-        worst=fixed(abs(float(worst["delta_g"])) / scale.size, max(places(expanded), 0)),
-        expanded=two_digits(expanded),
+        worst=rounded(abs(float(worst["delta_g"])) / scale.size, expanded),
+        expanded=uncertainty(expanded),
         k=f"{float(worst.get('k', 2.0)):.3g}",
         limit=f"{limit / scale.size:g}",
         unit=scale.unit,
@@ -167,17 +167,28 @@ def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     )
 
 
-def _point(one: Mapping[str, Any], size: float) -> PointRow:
+def _point(one: Mapping[str, Any], size: float, rule: str) -> PointRow:
     expanded = _expanded(one) / size
     risk = one.get("p_false_accept")
     return PointRow(
         where=f"{float(one['angle_deg']):.4f}°"
         + (f" (pass {one['pass']}, point {one['point']})" if "pass" in one else ""),
-        delta=fixed(float(one["delta_g"]) / size, max(places(expanded), 0), sign=True),
-        expanded=two_digits(expanded),
+        delta=rounded(float(one["delta_g"]) / size, expanded, sign=True),
+        expanded=uncertainty(expanded),
         false_accept=_in_words(risk),
-        statement=str(one.get("statement", "pass" if one["passed"] else "fail")),
+        statement=_statement(one, rule),
         passed=bool(one["passed"]),
+    )
+
+
+def _statement(told: Mapping[str, Any], rule: str) -> str:
+    """Return a statement as its rule makes it; an old result has none."""
+    from bench.analysis.calibration.conformity import Statement  # takes long to import
+    from bench.analysis.calibration.verdict_words import by_rule
+
+    passed = bool(told["passed"])
+    return str(
+        by_rule(Statement(told.get("statement") or ("pass" if passed else "fail")), rule, passed=passed)
     )
 
 
@@ -204,9 +215,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
         if not math.isfinite(size) or size <= 0:
             size, shown = 1.0, per
         rows.append(
-            CoefficientRow(
-                name, fixed(value / size, places(expanded / size)), two_digits(expanded / size), shown
-            )
+            CoefficientRow(name, rounded(value / size, expanded / size), uncertainty(expanded / size), shown)
         )
     residual = told.get("residual") or {}
     p = residual.get("p")

@@ -19,7 +19,7 @@ from bench.analysis.calibration.verdict_words import (
     risk_in_words,
     rule_in_words,
 )
-from bench.base.numbers import fixed, places, probability, scale_for, two_digits
+from bench.base.numbers import probability, rounded, scale_for, uncertainty
 from bench.report import plots, tables
 from bench.report.content import ReportContent
 from bench.report.template import page
@@ -104,14 +104,13 @@ def verdict(verification: Verification | None) -> VerdictInWords:
         return VerdictInWords("none")
     worst = verification.worst
     scale = scale_for(verification.limit_g, "g")
-    decimals = max(places(worst.u / scale.size), 0)
     mark = "✓" if verification.passed else "✗" if verification.rejected else "–"
     return VerdictInWords(
         state=STATES[verification.statement],
         word=f"{mark} Verification{_of_a_verification(headline(verification))}",
-        worst=fixed(abs(worst.delta_g) / scale.size, decimals),
-        u=two_digits(worst.u / scale.size),
-        expanded=two_digits(worst.U / scale.size),
+        worst=rounded(abs(worst.delta_g) / scale.size, worst.u / scale.size),
+        u=uncertainty(worst.u / scale.size),
+        expanded=uncertainty(worst.U / scale.size),
         k=f"{worst.k:.3g}",
         unit=scale.unit,
         where=f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})",

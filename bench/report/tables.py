@@ -14,7 +14,7 @@ from bench.analysis.calibration import Calibration, Estimate, Noise, Verificatio
 from bench.analysis.calibration.design import SYMBOLS
 from bench.analysis.calibration.verdict_words import optional_probability
 from bench.base.arrays import ARCSEC, CHANNELS, u_of
-from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, two_digits
+from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, uncertainty
 from bench.model.block import COEFFICIENTS
 from bench.model.effects import CATALOGUE
 from bench.report.plots import residual_scale
@@ -67,9 +67,9 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     values = aligned(
         ["0" if v == s == 0.0 else rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)]
     )
-    of_readings = aligned([two_digits(float(s) / scale.size) for s in calibration.u_readings])
-    standard = aligned([two_digits(float(s) / scale.size) for s in u])
-    expanded = aligned([two_digits(2.0 * float(s) / scale.size) for s in u])
+    of_readings = aligned([uncertainty(float(s) / scale.size) for s in calibration.u_readings])
+    standard = aligned([uncertainty(float(s) / scale.size) for s in u])
+    expanded = aligned([uncertainty(2.0 * float(s) / scale.size) for s in u])
     groups: list[tuple[str, list[Row]]] = []
     for title, members in (
         ("Scale factors", [0, 4, 8]),
@@ -102,7 +102,7 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
     vector, u = calibration.block.vector, calibration.u
     own = 4 * (j // 3 if j < 9 else j - 9)
     if j == own:
-        return two_digits(abs(float(u[j] / vector[j])) * 1e6), "ppm"
+        return uncertainty(abs(float(u[j] / vector[j])) * 1e6), "ppm"
     ratio, u_ratio = _ratio(calibration, j, own)
     if vector[j] == u[j] == 0.0:
         return "by convention", ""
@@ -168,7 +168,7 @@ def stand(calibration: Calibration) -> list[Row]:
     pulls = [e.value / e.u if e.u > 0 else float("nan") for e in estimates]
     columns = (
         aligned([rounded(e.value, e.u, sign=True) for e in estimates]),
-        aligned([two_digits(e.u) for e in estimates]),
+        aligned([uncertainty(e.u) for e in estimates]),
         aligned([fixed(pull, 1, sign=True) for pull in pulls]),
     )
     return [
@@ -207,7 +207,7 @@ def effects(calibration: Calibration) -> list[Row]:
         known = CATALOGUE.get(name.split(".")[0])
         unit = e.unit.replace("ug", "µg").replace("^2", "²").replace("^3", "³").replace("arcsec", "″")
         sentence = known.sentence if known else ""
-        rows.append(Row(name, (rounded(e.value, e.u, sign=True), two_digits(e.u), unit, sentence)))
+        rows.append(Row(name, (rounded(e.value, e.u, sign=True), uncertainty(e.u), unit, sentence)))
     return rows
 
 
@@ -219,16 +219,15 @@ def verification(result: Verification) -> list[Row]:
     scale = scale_for(result.limit_g, "g")
     rows = []
     for p in result.points:
-        decimals = max(places(p.u / scale.size), 0)
         rows.append(
             Row(
                 f"{p.pass_number} / {p.point}",
                 (
                     f"{p.angle_deg:.4f}",
                     rounded(p.g_p, p.u),
-                    fixed(p.delta_g / scale.size, decimals, sign=True),
-                    two_digits(p.u / scale.size),
-                    two_digits(p.U / scale.size),
+                    rounded(p.delta_g / scale.size, p.u / scale.size, sign=True),
+                    uncertainty(p.u / scale.size),
+                    uncertainty(p.U / scale.size),
                     f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
                     optional_probability(p.p_false_accept),
                     optional_probability(p.p_false_reject),
@@ -344,7 +343,7 @@ def sources(calibration: Calibration) -> dict[str, Any]:
         u = u_of(source.covariance) / scale.size
         most = [float(u[own].max()) for own in ([0, 4, 8], [1, 2, 3, 5, 6, 7], [9, 10, 11])]
         origin = f"{source.origin} (prior)" if source.prior else source.origin
-        cells = (source.size, *(two_digits(size) if size >= HARDLY else "–" for size in most), origin)
+        cells = (source.size, *(uncertainty(size) if size >= HARDLY else "–" for size in most), origin)
         rows.append(Row(source.name.replace("_", " "), cells))
     gravity = f"{calibration.gravity_u * 1e6:.2g} ppm" if calibration.gravity_u else ""
     return {"unit": f"{scale.per_g} and {scale.unit}", "rows": rows, "gravity": gravity}
@@ -355,7 +354,7 @@ def noise(calibration: Calibration) -> dict[str, str]:
     of = calibration.noise
     return {
         "reading": quantity(of.reading, calibration.unit),
-        "setting": f"{two_digits(of.setting_rad / ARCSEC)}″{_limits(of)}",
+        "setting": f"{uncertainty(of.setting_rad / ARCSEC)}″{_limits(of)}",
         "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
         "source": of.source,
         "each": "" if of.channels is None else _each(of.channels, calibration.unit),

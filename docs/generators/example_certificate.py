@@ -77,7 +77,7 @@ def _made(folder: Path) -> tuple[bytes, bytes, list[bytes]]:
         written.replace("language: en ", "language: [en, de] "), encoding="utf-8"
     )
     laboratory = load_laboratory(folder / "laboratory.yaml")
-    issue = Issue("SIM-2026-0001", issued_at(now), laboratory.authorised[0])
+    issue = Issue("SIM-2026-0001", issued_at(now), laboratory.authorised[0], signed_by=laboratory.name)
     order = load_order(shipped / "order.yaml")
     certificate = certificate_of("unit-17", folder / "runs", laboratory, order, issue)
     key = folder / "keys" / "laboratory.pem"

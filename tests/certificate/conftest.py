@@ -16,5 +16,10 @@ def issued_certificate(tmp_path_factory: pytest.TempPathFactory) -> Certificate:
     copy_run(folder / "runs")
     laboratory_file, order_file = write_files(folder, {"language": ["en", "de"]}, ORDER)
     laboratory = load_laboratory(laboratory_file)
-    issue = Issue("SIM-2026-0001", "2026-11-22T12:00:00+00:00", laboratory.authorised[0])
+    issue = Issue(
+        "SIM-2026-0001",
+        "2026-11-22T12:00:00+00:00",
+        laboratory.authorised[0],
+        signed_by="Laboratory of Tests",
+    )
     return certificate_of("finished", folder / "runs", laboratory, load_order(order_file), issue)

@@ -80,9 +80,16 @@ def test_the_unsigned_certificate_is_made_again_byte_for_byte(bench, desk, tmp_p
 def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, desk):
     assert bench("certificate", "finished", *desk)[0] == 0
     first = Path("register/SIM-2026-0001.xml").read_bytes()
+    verify = ("certificate", "verify", "register/SIM-2026-0001.xml", *desk[:2], "--json", "v.json")
+    status, out, _ = bench(*verify)
+    assert (status, "not signed, unchanged since it was issued" in out, "signer" in out) == (0, True, False)
+    keeps_to("certificate-verify", json.loads(Path("v.json").read_text()))
     amend = ("certificate", "amend", "SIM-2026-0001", "finished", "--reason", "a name")
     status, out, err = bench(*amend, *desk)
     assert (status, "SIM-2026-0002" in out) == (0, True), err
+    status, out, _ = bench(*verify)
+    assert (status, "AMENDED (SIM-2026-0002)" in out) == (1, True)
+    keeps_to("certificate-verify", json.loads(Path("v.json").read_text()))
     core = etree.parse("register/SIM-2026-0002.xml").find(".//dcc:coreData", NAMESPACES)
     assert core.findtext("dcc:previousReport/dcc:referralID", namespaces=NAMESPACES) == "SIM-2026-0001"
     import hashlib
@@ -96,6 +103,7 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     status, _, err = bench(*revoke)
     assert (status, "it was revoked: wrong unit" in err) == (2, True)
     _, out, _ = bench("certificate", "register", *desk[:2])
+    assert out.count("not signed") == 2
     assert "amended (SIM-2026-0002)" in out
     assert "revoked (wrong unit)" in out
     assert bench("certificate", "finished", *desk)[1].startswith("finished: issued as SIM-2026-0003")

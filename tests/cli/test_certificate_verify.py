@@ -43,7 +43,7 @@ def test_what_is_issued_and_signed_is_intact_until_it_is_changed(bench, monkeypa
     Path(pdf).write_bytes(Path(pdf).read_bytes() + b"\n")
     status, out, _ = bench("certificate", "verify", pdf, "--json", "verdict.json")
     assert status == 1
-    assert "NOT INTACT" in out
+    assert "CHANGED" in out
     assert "Kxx" not in out
     keeps_to("certificate-verify", json.loads(Path("verdict.json").read_text()))
     assert bench("certificate", "verify", "none.pdf")[0] == 2

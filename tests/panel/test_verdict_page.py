@@ -6,6 +6,7 @@ import shutil
 
 import pytest
 
+from bench.base.numbers import rounded
 from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import ISSUED, Entry, opened
 from bench.panel.access.people import Role
@@ -47,7 +48,7 @@ def test_the_verdict_stands_with_its_uncertainty_limit_and_risk(anna, judged):
     page = anna.get("/runs/run/verdict")
     said = words(page)
     shown = re.search(r"worst \|Δg\| = ([\d.]+) ± ([\d.]+) µg", said)
-    assert float(shown[1]) == pytest.approx(abs(worst["delta_g"]) * 1e6, abs=0.5)
+    assert shown[1] == rounded(abs(worst["delta_g"]) * 1e6, worst["U"] * 1e6)
     assert float(shown[2]) == pytest.approx(worst["U"] * 1e6, rel=0.05)
     assert "limit 300 µg" in said
     assert "probability of a false acceptance: " in said
@@ -100,6 +101,24 @@ def test_a_failed_verdict_offers_the_diagnosis_and_then_the_measurement_that_wou
 
 
 @pytest.mark.parametrize(
+    ("rule", "accepted", "word"),
+    [
+        ("simple acceptance", True, "passed"),
+        ("guarded", False, "failed"),
+        ("non-binary", False, "conditional pass"),
+    ],
+)
+def test_nothing_is_conditional_under_a_binary_rule(anna, judged, rule, accepted, word):
+    told = json.loads((judged / "verify.json").read_text())
+    for one in (told, *told["points"]):
+        one.update(statement="conditional pass", passed=accepted)
+    (judged / "verify.json").write_text(json.dumps({**told, "rule": rule, "notes": []}))
+    said = words(anna.get("/runs/run/verdict"))
+    assert word in said
+    assert ("conditional" in said) == (word == "conditional pass")
+
+
+@pytest.mark.parametrize(
     "text", ["{", "[]", "null", '{"limit_g": 0, "points": []}', '{"limit_g": "x"}', "\xff", "[" * 9999]
 )
 @pytest.mark.parametrize("name", ["verify.json", "calibrate.json", "diagnose.json"])
@@ -124,16 +143,19 @@ def test_the_certificates_of_this_very_record_are_handed_out(runs, judged, tmp_p
     head = json.loads((judged / "calibrate.json").read_text())["record"]["head"]
     with opened(folder) as register:
         for number, of in (("A-1", head), ("A-2", "of another record")):
-            entry = Entry(
-                ISSUED, number, "2026-11-22T12:00:00+00:00", "A", {"run": "run", "record": {"head": of}}
+            told = {"run": "run", "record": {"head": of}, "signed_by": None}
+            register.issue(
+                Entry(ISSUED, number, "2026-11-22T12:00:00+00:00", "A", told), {f"{number}.pdf": b"%PDF"}
             )
-            register.issue(entry, {f"{number}.pdf": b"%PDF"})
+        told = {"run": "run", "record": {"head": head}, "signed_by": "Laboratory"}
+        register.issue(Entry(ISSUED, "A-3", "2026-11-22T12:00:00+00:00", "A", told), {"A-3.pdf": b"%PDF"})
     token = Access(runs / STATE).new_token("ben", Role.VIEWER)
     app = make_app(Settings(runs, laboratory=laboratory))
     ben = TestClient(app, base_url=HOME, follow_redirects=False)
     ben.post("/sign-in", data={"token": token}, headers=OWN)
     page = ben.get("/runs/run/verdict").text
-    assert "Certificate A-1" in page
+    assert "Certificate A-1, not signed" in page
+    assert "Certificate A-3:" in page
     assert "A-2" not in page
     reply = ben.get("/runs/run/certificate/A-1.pdf")
     assert (reply.content, reply.headers["content-disposition"]) == (b"%PDF", "attachment")

@@ -111,16 +111,26 @@ def sign(
     if np.any(np.diag(roll) > 0):
         own = (_roll(bench, roll), *own)
     covariance = calibration.covariance_readings + sum((s.covariance for s in own), np.zeros((12, 12)))
-    variances = [calibration.covariance_readings, *(s.covariance for s in own)]
-    dof = effective_dof(
-        np.stack([np.diag(part) for part in variances], axis=1),
-        [calibration.noise.reading_dof, *(s.dof for s in own)],
-    )
     gravity = [error.u for error in of_bench if error.name == GRAVITY]
-    return replace(
-        calibration, covariance=covariance, sources=own, dof=dof, gravity_u=gravity[0] if gravity else 0.0,
+    signed = replace(
+        calibration, covariance=covariance, sources=own, gravity_u=gravity[0] if gravity else 0.0,
         notes=(*calibration.notes, *_on_roll(roll, covariance)),
     )  # fmt: skip
+    return replace(signed, dof=dof_through(signed, np.eye(len(COEFFICIENTS))))
+
+
+def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
+    """Return the effective degrees of freedom (m,) of what is computed from the coefficients of `sign`.
+
+    `jacobian` (m, 12) are the derivatives by the coefficients, `known` further variances, of infinite freedom.
+    """
+    if not calibration.sources:
+        return np.full(len(jacobian), np.inf)
+    parts = [calibration.covariance_readings, *(s.covariance for s in calibration.sources)]
+    variances = [np.sum((jacobian @ part) * jacobian, axis=1) for part in parts]
+    variances.append(np.broadcast_to(np.asarray(known, dtype=np.float64), len(jacobian)))
+    dof = [calibration.noise.reading_dof, *(s.dof for s in calibration.sources), np.inf]
+    return effective_dof(np.stack(variances, axis=1), dof)
 
 
 def _foundation(readings: Readings, bench: BenchFile) -> Foundation | None:

@@ -5,7 +5,7 @@ First order in the uncertainties, with exact derivatives: dN = -N dK N.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -35,11 +35,15 @@ the right-hand turn of the input axis of channel i about the third axis, in the 
 
 @dataclass(frozen=True)
 class Derived(HasCovariance):
-    """Numbers computed from the coefficients: `values` (m,) and their `covariance` (m, m), by `names`."""
+    """Numbers computed from the coefficients: `values` (m,) and their `covariance` (m, m), by `names`.
+
+    `jacobian` (m, 12) are their derivatives by `COEFFICIENTS`: 1 of these themselves.
+    """
 
     names: tuple[str, ...]
     values: Floats
     covariance: Floats
+    jacobian: Floats = field(default_factory=lambda: np.eye(len(COEFFICIENTS)))
 
 
 def inverse(block: Block, covariance: Floats) -> Derived:
@@ -48,7 +52,8 @@ def inverse(block: Block, covariance: Floats) -> Derived:
     N in g per unit of the signal, U0 in that unit. Raises `numpy.linalg.LinAlgError` when K is singular.
     """
     N = np.asarray(np.linalg.inv(block.K), dtype=np.float64)
-    return Derived(INVERSE, np.concatenate([N.ravel(), block.U0]), _through(inverse_jacobian(N), covariance))
+    slopes = inverse_jacobian(N)
+    return Derived(INVERSE, np.concatenate([N.ravel(), block.U0]), _through(slopes, covariance), slopes)
 
 
 def inverse_jacobian(N: Floats) -> Floats:
@@ -67,7 +72,7 @@ def misalignments(block: Block, covariance: Floats) -> Derived:
         values[row] = sign * vector[ij] / vector[ii]
         rows[row, ij] = sign / vector[ii]
         rows[row, ii] = -values[row] / vector[ii]
-    return Derived(tuple(MISALIGNMENTS), values, _through(rows, covariance))
+    return Derived(tuple(MISALIGNMENTS), values, _through(rows, covariance), rows)
 
 
 def specific_force_covariance(derived: Derived, signal: Floats, noise: float = 0.0) -> Floats:

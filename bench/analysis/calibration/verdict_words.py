@@ -34,6 +34,14 @@ def headline(result: Verification, *, upper: bool = False) -> str:
     return word
 
 
+def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
+    """Return a statement as its rule makes it: a binary one knows pass and fail, and nothing conditional."""
+    conditional = statement in {Statement.CONDITIONAL_PASS, Statement.CONDITIONAL_FAIL}
+    if rule == NON_BINARY or not conditional:
+        return statement
+    return Statement.PASS if passed else Statement.FAIL
+
+
 def rule_in_words(rule: DecisionRule) -> str:
     """Return what a decision rule accepts, with its source."""
     if rule.name == SIMPLE:

@@ -21,8 +21,6 @@ from bench.certificate.texts import Texts
 _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
 
-_ALWAYS: Final = ("statement_item", "statement_reproduction", "statement_recalibration")
-
 
 @dataclass(frozen=True)
 class _Whole:
@@ -203,8 +201,13 @@ def _statements(whole: _Whole) -> Iterator[Node]:
     certificate, texts, order, unit = whole.certificate, whole.texts, whole.order, whole.unit
     if certificate.simulated:
         yield _statement("simulated", *said(texts, "simulated"))
-    for key in _ALWAYS:
+    signing = "unsigned" if certificate.unsigned else "signed"
+    yield _statement(signing, *said(texts, f"statement_{signing}", name=whole.issue.signed_by))
+    for key in (*certificate.terms, "statement_supplied", "statement_recalibration"):
         yield _statement(key, *said(texts, key))
+    for head, told in certificate.origins.items():
+        for key, blanks in told:
+            yield _statement(head, *said(texts, key, **blanks), name=said(texts, head))
     traceable = certificate.valid_instruments and not certificate.simulated
     reason = order.without_certificates
     yield node(

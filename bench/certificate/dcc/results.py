@@ -9,10 +9,20 @@ from typing import Final
 import numpy as np
 from scipy import special
 
+from bench.analysis.budget.whole import dof_through
 from bench.analysis.calibration import Verification, VerificationPoint
 from bench.analysis.calibration.conformity import Statement
 from bench.base.arrays import Floats
-from bench.certificate.content import Certificate, Condition, Found, Instrument, Value, Values, rule_said
+from bench.certificate.content import (
+    Certificate,
+    Condition,
+    Found,
+    Instrument,
+    Value,
+    Values,
+    rule_said,
+    stated,
+)
 from bench.certificate.dcc import units
 from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said
 from bench.certificate.dcc.units import si_unit
@@ -120,9 +130,7 @@ def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
 
 def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
     unit = si_unit(one.unit)
-    shown = (
-        [real(one.low, unit, one.u)] if one.low == one.high else [real(one.low, unit), real(one.high, unit)]
-    )
+    shown = [real(end, unit, one.u) for end in dict.fromkeys((one.low, one.high))]
     ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
     quantities = [
         node("dcc:quantity", node("dcc:name", plain(end)), quantity, refType=f"bench_{end}")
@@ -178,7 +186,8 @@ def _per_ms2(found: Found) -> Values:
     named = {
         one.name: si_unit(own.unit) if one.name.startswith("U0") else per for one in found.coefficients.values
     }
-    return Values.of(named, values, covariance, found.coefficients.values[0].k, own.dof)
+    dof = dof_through(own, np.diag(scale), of_g**2)
+    return Values.of(named, values, covariance, found.coefficients.values[0].k, dof)
 
 
 def _listed(values: Values, certificate: Certificate) -> Node:
@@ -233,7 +242,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
         "p_false_accept": verification.p_outside if accepted else None,
         "p_false_reject": 1.0 - verification.p_outside if verification.rejected else None,
     }
-    statements = " ".join(_CONFORMITY[p.statement] for p in points)
+    statements = " ".join(_CONFORMITY[one] for one in stated(verification)[1])
     return node(
         "dcc:list",
         _quantity(plain("angle"), real_list([p.angle_deg for p in points], [units.DEGREE]), "angle"),
@@ -263,6 +272,7 @@ def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
 
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
     """Return the statement of conformity on the whole, with limit and rule."""
+    statement, _ = stated(verification)
     words = tuple(
         node(
             "dcc:content",
@@ -270,7 +280,7 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
                 "conformity_text",
                 points=len(verification.points),
                 limit=f"{verification.limit_g:g}",
-                statement=one.say(str(verification.statement)),
+                statement=one.say(str(statement)),
             )
             + " "
             + rule_said(one.say, verification.decision)
@@ -287,7 +297,7 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
         node("dcc:norm", "JCGM 106:2012"),
         node("dcc:norm", "ILAC-G8:09/2019"),
         node("dcc:declaration", *words),
-        node("dcc:conformity", _CONFORMITY[verification.statement]),
+        node("dcc:conformity", _CONFORMITY[statement]),
         refType="bench_conformity",
     )
 

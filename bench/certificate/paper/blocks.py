@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from bench.base.numbers import fixed, places, rounded, two_digits
+from bench.base.numbers import fixed, rounded, uncertainty
 from bench.base.visible import visible
 from bench.certificate.content import Certificate, Value, Values
 
@@ -53,12 +53,17 @@ class Writer:
         align: str,
         columns: Sequence[object],
         size: float = 8.8,
+        *,
+        whole: bool = False,
     ) -> Block:
-        """Return a table: `align` has l or r for each column, `columns` "auto" or a share of the width."""
+        """Return a table: `align` has l or r for each column, `columns` "auto" or a share of the width.
+
+        One that is `whole` stands on one page.
+        """
         widths = [str(width) for width in columns]
         return {
             "kind": "table", "head": list(head), "rows": [list(row) for row in rows], "align": list(align),
-            "columns": widths, "size": size,
+            "columns": widths, "size": size, "whole": whole,
         }  # fmt: skip
 
     def figure(self, svg: str, key: str, width_mm: float, **values: object) -> Block:
@@ -89,7 +94,7 @@ def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
     return [
         symbol(value.name),
         "0" if exact else rounded(value.value / size, U),
-        two_digits(U),
+        uncertainty(U),
         f"{value.k:.3g}",
         freedom,
         unit or value.unit,
@@ -125,10 +130,9 @@ def broken(digest: str) -> list[Cell]:
 
 def span(low: float, high: float, u: float | None, unit: str) -> str:
     """Return a range as a certificate states it: "22.8 °C to 23.1 °C", with U where there is one (k = 2)."""
-    digits = max(places(u), 0) if u else 2
-    ends = [fixed(one, digits) for one in (low, high)]
+    ends = [rounded(one, 2.0 * u) if u else fixed(one, 2) for one in (low, high)]
     text = f"{ends[0]} {unit}" if ends[0] == ends[1] else f"{ends[0]} … {ends[1]} {unit}"
-    return f"{text} ± {two_digits(2.0 * u)} {unit} (k = 2)" if u else text
+    return f"{text} ± {uncertainty(2.0 * u)} {unit} (k = 2)" if u else text
 
 
 def plain(told: Any) -> Any:

@@ -7,7 +7,7 @@ from hashlib import sha256
 from typing import Any, Final
 
 from bench.api.errors import Refused
-from bench.base.numbers import rounded, two_digits
+from bench.base.numbers import rounded, uncertainty
 from bench.base.regular import MEGABYTE, read_regular
 from bench.certificate.content import Attached, Certificate, day_of
 from bench.certificate.laboratory import Contact
@@ -51,12 +51,13 @@ def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
         "laboratory": _letter_head(certificate, write),
         "draft": write.say("draft") if certificate.draft else None,
         "simulated": write.say("simulated") if certificate.simulated else None,
+        "unsigned": write.say("unsigned") if certificate.unsigned else None,
         "footer": certificate.number or write.say("draft")[0],
         "page": write.say("page", page="{page}", pages="{pages}"),
         "end": write.say("end"),
         "front": _front(certificate, write),
         "signed": _signed(certificate, write),
-        "terms": [write.say(key) for key in ("statement_item", "statement_reproduction")],
+        "terms": [write.say(key) for key in certificate.terms],
         "proof": proof.pages(certificate, write, [_listed(one) for one in attached]),
         "attached": [
             {
@@ -141,7 +142,7 @@ def _matrix(certificate: Certificate, write: Writer) -> Block:
         for name in (*(f"K{channel}{axis}" for axis in "xyz"), f"U0{channel}"):
             value = values[name]
             exact = value.value == 0.0 and value.U == 0.0
-            cells.append("0" if exact else f"{rounded(value.value, value.U)} ± {two_digits(value.U)}")
+            cells.append("0" if exact else f"{rounded(value.value, value.U)} ± {uncertainty(value.U)}")
         rows.append(cells)
     units = [values["Kxx"].unit] * 3 + [values["U0x"].unit]
     columns = [{"symbol": "K", "index": f"·{axis}"} for axis in "xyz"] + [{"symbol": "U", "index": "0"}]
@@ -153,13 +154,19 @@ def _matrix(certificate: Certificate, write: Writer) -> Block:
 def _signed(certificate: Certificate, write: Writer) -> list[list[Any]]:
     issue = certificate.issue
     if issue is None:
-        return [[write.say("authorised"), [NOBODY_SAYS]], [write.say("signed"), [write.say("unsigned_text")]]]
+        return [
+            [write.say("authorised"), [NOBODY_SAYS]],
+            [write.say("signed"), [write.say("draft_unsigned_text")]],
+        ]
     person = issue.authorised_by
     lines = [person.name, *([person.role] if person.role else [])]
     return [
         [write.say("authorised"), lines],
         [write.say("issued"), [issue.day]],
-        [write.say("signed"), [write.say("signed_text")]],
+        [
+            write.say("signed"),
+            [write.say("unsigned_text" if certificate.unsigned else "signed_text", name=issue.signed_by)],
+        ],
     ]
 
 

@@ -7,8 +7,16 @@ from typing import Any, Final
 
 from bench.analysis.calibration.verdict_words import optional_probability, probability_in_words
 from bench.base.arrays import ARCSEC
-from bench.base.numbers import fixed, places, quantity, two_digits, typeset
-from bench.certificate.content import Certificate, Condition, Found, Instrument, rule_said, uncertified
+from bench.base.numbers import aligned, quantity, rounded, two_digits, typeset, uncertainty
+from bench.certificate.content import (
+    Certificate,
+    Condition,
+    Found,
+    Instrument,
+    rule_said,
+    stated,
+    uncertified,
+)
 from bench.certificate.paper.blocks import (
     NOBODY_SAYS,
     Block,
@@ -58,10 +66,15 @@ def _method(certificate: Certificate, write: Writer) -> list[Block]:
         rows.append(("adjusted", [unit.adjusted.what]))
     if order is not None and order.agreed:
         rows.append(("agreed", [*order.agreed]))
+    rows += [
+        (key, [write.say(text, **blanks) for text, blanks in told])
+        for key, told in certificate.origins.items()
+    ]
     return [
         write.heading("method"),
         write.words("method_text", model=method.model, **told),
         write.pairs(rows),
+        *([] if order is None else [write.words("statement_supplied")]),
         write.heading("conditions"),
         write.table(
             [write.say("quantity"), write.say("value"), write.say("source")],
@@ -126,7 +139,7 @@ def _results(certificate: Certificate, write: Writer) -> list[Block]:
         _result_table(found, write, "coefficients"),
         write.words("uncertainty_text", k=f"{certificate.k:.3g}", coverage=coverage),
         write.heading("correlations", 2),
-        write.words("correlations_text"),
+        {**write.words("correlations_text"), "sticky": True},
         _correlations(found, write),
         write.heading("inverse", 2),
         _result_table(found, write, "inverse"),
@@ -143,7 +156,12 @@ def _result_table(found: Found, write: Writer, which: str) -> Block:
     values = getattr(found, which).values
     head: list[Cell] = [write.say(key) for key in ("quantity", "value", "uncertainty", "k", "dof", "unit")]
     size, unit = (ARCSEC, "″") if which == "misalignments" else (1.0, "")
-    return write.table(head, [value_cells(value, size, unit) for value in values], "lrrrrl", _RESULT_COLUMNS)
+    rows = [value_cells(value, size, unit) for value in values]
+    for column in (1, 2):  # the value and U stand with their decimal points in line
+        shown = aligned([str(row[column]) for row in rows])
+        for row, cell in zip(rows, shown, strict=True):
+            row[column] = cell
+    return write.table(head, rows, "lrrrrl", _RESULT_COLUMNS, whole=True)
 
 
 def _correlations(found: Found, write: Writer) -> Block:
@@ -155,6 +173,7 @@ def _correlations(found: Found, write: Writer) -> Block:
         "l" + "r" * len(values.values),
         ["auto"] + [1] * len(values.values),
         7.4,
+        whole=True,
     )
 
 
@@ -163,13 +182,22 @@ def _uncertainty(found: Found, write: Writer) -> list[Block]:
     rows: list[list[Cell]] = [
         [
             typeset(one.name.replace("_", " ")),
-            typeset(one.size),
+            typeset(_to_two_digits(one.size)),
             {"part": _size(one.u, one.unit), **_as_symbol(one.most_in)},
             {"lines": [typeset(one.origin), *([write.say("prior")] if one.prior else [])]},
         ]
         for one in found.contributions
     ]
     return [write.heading("budget"), write.table(head, rows, "llll", [1, 0.9, 0.9, 2])] if rows else []
+
+
+def _to_two_digits(size: str) -> str:
+    """Return the size of a source of error, "8.29 µV", as a page has it."""
+    number, _, unit = size.partition(" ")
+    try:
+        return f"{two_digits(float(number))} {unit}"
+    except ValueError:
+        return size
 
 
 def _size(u: float, unit: str) -> str:
@@ -197,22 +225,22 @@ def verdict_of(found: Found, write: Writer) -> list[Block]:
     result = found.verification
     if result is None:
         return [write.words("no_conformity")]
+    statement = write.say(str(stated(result)[0]))
     told = write.words(
         "conformity_text",
-        points=len(result.points), limit=typeset(f"{result.limit_g:g}"), statement=write.say(str(result.statement)),
+        points=len(result.points), limit=typeset(f"{result.limit_g:g}"), statement=statement,
     )  # fmt: skip
-    worst = result.worst
-    scale = 1e6
+    worst, scale = result.worst, 1e6
+    error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
     rows: list[tuple[str, list[Cell]]] = [
-        (
-            "delta_g",
-            [f"|Δg| ≤ {fixed(abs(worst.delta_g) * scale, 1)} µg, U = {two_digits(worst.U * scale)} µg"],
-        ),
+        ("delta_g", [f"|Δg| ≤ {error} µg, U = {U} µg"]),
         (
             "rule",
             [rule_said(write.say, result.decision)],
         ),
     ]
+    if result.missing:
+        rows.append(("missing", [str(result.missing)]))
     if result.passed or result.left_open:
         rows.append(("p_false_accept", [probability_in_words(result.p_outside)]))
     elif result.rejected:
@@ -233,17 +261,17 @@ def _conformity(found: Found, write: Writer) -> list[Block]:
         [
             f"{p.pass_number} / {p.point}",
             f"{p.angle_deg:.4f}°",
-            fixed(p.delta_g * scale, max(places(p.U * scale), 0), sign=True),
-            two_digits(p.U * scale),
+            rounded(p.delta_g * scale, p.U * scale, sign=True),
+            uncertainty(p.U * scale),
             f"{p.k:.3g}",
-            write.say(str(p.statement)),
+            write.say(str(statement)),
             optional_probability(p.p_false_accept),
         ]
-        for p in result.points
+        for p, statement in zip(result.points, stated(result)[1], strict=True)
     ]
     return [
         write.heading("conformity"),
-        write.table(head, rows, "llrrrlr", [0.8, 1, 0.8, 0.7, 0.5, 1.1, 1.2]),
+        write.table(head, rows, "llrrrlr", [0.8, 1, 0.8, 0.7, 0.5, 1.1, 1.2], whole=len(rows) < 25),
         write.figure(_drawn(verification_points, result), "figure_points", 140.0),
     ]
 
@@ -279,7 +307,15 @@ def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, s
         write.words("record_text", run=record.run, events=record.events, head=record.head),
         *sealed,
         write.heading("attached"),
-        *([] if certificate.draft else [write.words("attached_text")]),
+        *(
+            []
+            if certificate.draft
+            else [
+                write.words(
+                    "attached_text", signed=write.say("unsigned" if certificate.unsigned else "signed_itself")
+                )
+            ]
+        ),
         write.table(head, rows, "lll", ["auto", 1, "auto"]),
     ]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bench.api.errors import Refused
 from bench.certificate.signature.signatory import Signatory
-from bench.certificate.signature.xades import NotIntact
+from bench.certificate.signature.xades import NoCertificate, NotIntact, Unsigned
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -79,13 +79,13 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 def check_pdf(file: bytes) -> SignedPdf:
     """Return who signed a PDF, whoever it is.
 
-    Raises `NotIntact` where there is no signature or more than one, where it does not cover every byte but itself,
-    where anything was appended after it, and where what it covers was changed.
+    Raises `Unsigned` where there is no signature, `NotIntact` where there is more than one, where it does not cover
+    every byte but itself, where anything was appended after it, and where what it covers was changed.
     """
     if len(file) > _MOST_BYTES:
         raise NotIntact(f"it has more than {_MOST_BYTES // 1_000_000} MB")
     if not file.startswith(b"%PDF-"):
-        raise NotIntact("not a PDF from its first byte")
+        raise NoCertificate("not a PDF from its first byte")
     from pyhanko.pdf_utils.reader import PdfFileReader
 
     try:
@@ -94,7 +94,7 @@ def check_pdf(file: bytes) -> SignedPdf:
             raise NotIntact("it is encrypted, and no certificate is")
         signatures = list(reader.embedded_signatures)
         if not signatures:
-            raise NotIntact("nobody signed it (no PDF signature)")
+            raise Unsigned("nobody signed it (no PDF signature)")
         if len(signatures) > 1:
             raise NotIntact(f"it has {len(signatures)} signatures, and a certificate has one")
         (signature,) = signatures

@@ -24,6 +24,14 @@ class NotIntact(Exception):
     """A signature is not what it should be, or what was signed has been changed; the text says what."""
 
 
+class NoCertificate(NotIntact):
+    """It is nothing that was ever issued."""
+
+
+class Unsigned(NotIntact):
+    """Nobody signed it."""
+
+
 @dataclass(frozen=True)
 class SignedXml:
     """What a signature stands for: `content`, in canonical form (no comments, no signature), and who signed.
@@ -74,8 +82,8 @@ class _Key:
 def check_xml(document: bytes) -> SignedXml:
     """Return what the one signature of a document stands for, whoever made it.
 
-    Raises `NotIntact` where there is none or more than one, where it does not stand for the whole document, where
-    it is wrapped or has parts that nobody signed, and where anything signed was changed.
+    Raises `Unsigned` where there is none, `NotIntact` where there is more than one, where it does not stand for the
+    whole document, where it is wrapped or has parts that nobody signed, and where anything signed was changed.
     """
     etree, xades, methods = _packages()
     root = _read(document)
@@ -103,6 +111,12 @@ def check_xml(document: bytes) -> SignedXml:
     return SignedXml(bytes(whole.signed_data), certificates, when, comments)
 
 
+def unsigned_content(document: bytes) -> bytes:
+    """Return what a document without a signature says, in canonical form, without comments. Raises `NotIntact`."""
+    etree, _, _ = _packages()
+    return bytes(etree.tostring(_read(document), method="c14n", with_comments=False))
+
+
 def _read(document: bytes) -> Any:
     """Return the root of a document without entities, document type, network. Raises `NotIntact`."""
     etree, _, _ = _packages()
@@ -112,7 +126,7 @@ def _read(document: bytes) -> Any:
     try:
         root = etree.fromstring(document, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise NotIntact(f"not XML ({_told(error)})") from error
+        raise NoCertificate(f"not XML ({_told(error)})") from error
     if root.getroottree().docinfo.doctype:
         raise NotIntact("it has a document type (DOCTYPE), which no certificate has")
     if next(root.iter(etree.Entity), None) is not None:
@@ -127,7 +141,7 @@ def _the_signature(root: Any) -> Any:
     """Return the one signature there is: the last element of the root, with the four parts it should have."""
     found = list(root.iter(f"{{{NAMESPACE}}}Signature"))
     if not found:
-        raise NotIntact("nobody signed it (no XML signature)")
+        raise Unsigned("nobody signed it (no XML signature)")
     if len(found) > 1:
         raise NotIntact(f"it has {len(found)} signatures, and a certificate has one")
     (signature,) = found

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from bench.certificate.signature.xades import NotIntact
+from bench.certificate.signature.xades import NoCertificate, NotIntact
 
 _DCC: Final = "https://ptb.de/dcc"
 _NAMES: Final = {"dcc": _DCC, "si": "https://ptb.de/si"}
@@ -36,7 +36,7 @@ class Shown:
     """What a certificate says: `files` are those that it holds, `covariance` that of the coefficients, row by row.
 
     `conformity` is the word of the DCC ("pass"), empty where it makes no statement; `release` is that of the
-    program that made it.
+    program that made it; `says_signed` whether it says that it is signed, None where it says nothing of that.
     """
 
     number: str
@@ -48,6 +48,7 @@ class Shown:
     authorised_by: str
     conformity: str
     simulated: bool
+    says_signed: bool | None
     release: str
     coefficients: tuple[Coefficient, ...]
     covariance: tuple[tuple[float, ...], ...]
@@ -74,12 +75,12 @@ class Shown:
 
 
 def shown_of(content: bytes) -> Shown:
-    """Return what signed content says. Raises `NotIntact` where it is no digital calibration certificate."""
+    """Return what content says. Raises `NotIntact` where it is no digital calibration certificate."""
     from lxml import etree
 
     root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
     if root.tag != _ROOT:
-        raise NotIntact("what was signed is no digital calibration certificate (DCC)")
+        raise NoCertificate("it is no digital calibration certificate (DCC)")
     administrative = "dcc:administrativeData"
     covariance, coefficients = _coefficients(root)
     return Shown(
@@ -96,14 +97,18 @@ def shown_of(content: bytes) -> Shown:
         issued=_text(root, f"{_CORE}/dcc:issueDate"),
         authorised_by=_signer(root),
         conformity=_text(root, ".//dcc:metaData[@refType='bench_conformity']/dcc:conformity"),
-        simulated=bool(
-            _all(root, f"{administrative}/dcc:statements/dcc:statement[@refType='bench_simulated']")
-        ),
+        simulated=_states(root, "simulated"),
+        says_signed=True if _states(root, "signed") else False if _states(root, "unsigned") else None,
         release=_text(root, f"{administrative}/dcc:dccSoftware/dcc:software/dcc:release"),
         coefficients=coefficients,
         covariance=covariance,
         files=dict(_file(one) for one in _all(root, ".//dcc:byteData")),
     )
+
+
+def _states(root: Any, ref: str) -> bool:
+    """Whether a document has a statement of ours of this name."""
+    return bool(_all(root, f"dcc:administrativeData/dcc:statements/dcc:statement[@refType='bench_{ref}']"))
 
 
 def _all(node: Any, path: str) -> list[Any]:

@@ -1,7 +1,8 @@
-"""A certificate looked at: both signatures, what they agree on, the record where it is at hand."""
+"""A certificate looked at: both signatures, what they agree on, register and record where they are at hand."""
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import math
@@ -17,8 +18,15 @@ from bench.certificate.paper.page import DCC, RELATIONS
 from bench.certificate.signature.pades import SignedPdf, check_pdf
 from bench.certificate.signature.signatory import certificates_in, fingerprint_of, name_of
 from bench.certificate.signature.trust import why_not_trusted
-from bench.certificate.signature.xades import NotIntact, SignedXml, check_xml
-from bench.certificate.verify.record import held_against_record
+from bench.certificate.signature.xades import (
+    NoCertificate,
+    NotIntact,
+    SignedXml,
+    Unsigned,
+    check_xml,
+    unsigned_content,
+)
+from bench.certificate.verify.record import Standing, held_against_record, held_against_register
 from bench.certificate.verify.shown import Shown, shown_of
 
 if TYPE_CHECKING:
@@ -27,13 +35,17 @@ if TYPE_CHECKING:
 NOT_PROVED: Final = (
     "when it was signed: the time is the signer's own word, no authority stamped it",
     "that the signer's certificate had not been withdrawn: no list of withdrawn ones was asked",
-    "that what was measured is true, nor that the certificate is still valid: the laboratory's register knows what "
-    "was amended or revoked",
 )
-PAGES_NOT_READ: Final = (
-    "that the pages print what the data say: both were signed by one key, and only the data were compared"
-)
+NOT_MEASURED: Final = "that what was measured is true"
+PAGES_NOT_READ: Final = "that the pages print what the data say: only the data were compared"
 RECORD_NOT_HERE: Final = "that the record gives these results: the record is not at hand"
+REGISTER_NOT_HERE: Final = (
+    "that it still holds: the laboratory's register knows what was amended or revoked, and is not at hand"
+)
+UNSIGNED: Final = (
+    "who made it, nor that it is as it was issued: nobody signed it, and no register was named that knows; "
+    "--laboratory FILE names the laboratory's"
+)
 UNKNOWN: Final = (
     "who signed: the certificate in it says a name, and anybody can write one; --trust FILE names the laboratory's "
     "own, got from the laboratory"
@@ -44,7 +56,9 @@ UNKNOWN: Final = (
 class Verdict:
     """What was found of a certificate; `wrong` says why it is not intact, `agreed` what was held against what.
 
-    `why_not_trusted` is None without a trust file, "" where it stands for the signer. `shown` is what was signed.
+    `why_not_trusted` is None without a trust file, "" where it stands for the signer. `shown` is what it says: what
+    was signed, unless it is `unsigned`. `standing` is None where no register is at hand. `issued` tells that it was
+    ever issued, as far as can be seen.
     """
 
     file: str
@@ -57,6 +71,9 @@ class Verdict:
     signed_at: str = ""
     why_not_trusted: str | None = None
     shown: Shown | None = None
+    unsigned: bool = False
+    issued: bool = True
+    standing: Standing | None = None
 
     @property
     def intact(self) -> bool:
@@ -65,17 +82,32 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether it is intact, and by whom the trust file stands for, where one was given."""
-        return self.intact and not self.why_not_trusted
+        """Whether it is intact, by whom the trust file stands for, and holds, as far as that was asked.
+
+        What nobody signed is accepted by a register that was named alone: one beside the file anybody can write.
+        """
+        holds = self.standing is None or self.standing.holds
+        vouched = not self.unsigned or self._by_register
+        return self.intact and holds and vouched and not self.why_not_trusted
+
+    @property
+    def _by_register(self) -> bool:
+        """Whether a register that was named has this very file."""
+        return self.standing is not None and self.standing.named and self.standing.known
 
     @property
     def headline(self) -> str:
         """The verdict in a line."""
         if not self.intact:
-            return "NOT INTACT"
-        if self.why_not_trusted is None:
-            return "intact, signer unknown"
-        return "intact, signer not trusted" if self.why_not_trusted else f"intact, signed by {self.signer}"
+            return "CHANGED" if self.issued else "NO CERTIFICATE"
+        if self.unsigned:
+            of_signer = "not signed" + (", unchanged since it was issued" if self._by_register else "")
+        elif self.why_not_trusted is None:
+            of_signer = "intact, signer unknown"
+        else:
+            trusted = not self.why_not_trusted
+            of_signer = f"intact, signed by {self.signer}" if trusted else "intact, signer not trusted"
+        return of_signer if self.standing is None else of_signer + self.standing.words
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON."""
@@ -92,17 +124,25 @@ class Verdict:
                 "certificate_sha256": self.fingerprint,
                 "signed_at": self.signed_at,
             },
-            "signed": None if self.shown is None or not self.intact else self.shown.to_json(),
+            "signed": self._said(unsigned=False),
+            "unsigned": self._said(unsigned=True),
+            "register": None if self.standing is None else vars(self.standing),
             "not_signed": self.not_signed,
             "not_proved": self.not_proved,
         }
 
+    def _said(self, *, unsigned: bool) -> dict[str, Any] | None:
+        """Return what it says, where it is intact and `unsigned` or not."""
+        there = self.shown is not None and self.intact and self.unsigned is unsigned
+        return self.shown.to_json() if there and self.shown is not None else None
 
-def verify_certificate(file: Path, trust: Path | None, runs: Path) -> Verdict:
+
+def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Path | None = None) -> Verdict:
     """Look at a certificate, PDF or XML, and at the other form of it where that stands beside it.
 
-    `trust` has the certificates (PEM) of signers, or of authorities, that are believed. Raises `Refused` for files
-    that cannot be read.
+    `trust` has the certificates (PEM) of signers, or of authorities, that are believed. `register` is the folder of
+    the laboratory's register; where it is not given, the one in which the file stands. Raises `Refused` for files
+    that cannot be read, and for a register that cannot be believed.
     """
     trusted = None if trust is None else certificates_in(trust)
     content = _content(file)
@@ -124,11 +164,21 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path) -> Verdict:
             )
     except NotIntact as error:
         verdict.wrong.append(str(error))
+        verdict.issued = not isinstance(error, NoCertificate)
+    if verdict.shown is not None and verdict.intact:
+        _against_register(verdict, verdict.shown, file, content, register)
     if verdict.shown is not None and verdict.intact:
         _against_record(verdict, verdict.shown, runs)
-    verdict.not_proved += NOT_PROVED
-    if verdict.why_not_trusted is None:
+    if verdict.unsigned:
+        verdict.why_not_trusted = None if trust is None else "nobody signed it"
+    elif verdict.why_not_trusted is None:
         verdict.not_proved.insert(0, UNKNOWN)
+    verdict.not_proved += () if verdict.unsigned else NOT_PROVED
+    verdict.not_proved.append(NOT_MEASURED)
+    if verdict.intact and verdict.unsigned and not (verdict.standing and verdict.standing.named):
+        verdict.not_proved.append(UNSIGNED)
+    elif verdict.intact and verdict.standing is None:
+        verdict.not_proved.append(REGISTER_NOT_HERE)
     return verdict
 
 
@@ -142,26 +192,48 @@ def _content(file: Path) -> bytes:
 # --- the two forms ------------------------------------------------------------------------------------
 
 
-def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate] | None) -> SignedXml:
-    signed = check_xml(document)
-    _name_signer(verdict, signed, trusted)
-    shown = shown_of(signed.content)
+def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate] | None) -> SignedXml | None:
+    """Look at an XML; return what was signed, None where nobody signed it."""
+    signed, content = _signed_or_not(document)
+    if signed is not None:
+        _name_signer(verdict, signed, trusted)
+    verdict.unsigned = signed is None
+    shown = shown_of(content)
+    if verdict.unsigned is shown.says_signed:
+        raise NotIntact(
+            "it says that it is signed, and nobody signed it"
+            if verdict.unsigned
+            else "it says that nobody signed it, and it is signed"
+        )
     _agree_on_numbers(shown)
     verdict.shown = shown
     verdict.agreed.append("the coefficients of the digital certificate are those of the result that it holds")
-    if signed.comments:
+    if signed is not None and signed.comments:
         verdict.not_signed.append(
             f"{signed.comments} comments in the XML, which nobody signed and are not shown"
         )
     return signed
 
 
+def _signed_or_not(document: bytes) -> tuple[SignedXml | None, bytes]:
+    """Return what was signed of an XML, None where nobody signed it, and what it says."""
+    try:
+        signed = check_xml(document)
+    except Unsigned:
+        return None, unsigned_content(document)
+    return signed, signed.content
+
+
 def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | None) -> dict[str, bytes]:
-    signed = check_pdf(file)
-    _name_signer(verdict, signed, trusted)
+    signed: SignedPdf | None = None
+    with contextlib.suppress(Unsigned):
+        signed = check_pdf(file)
+        _name_signer(verdict, signed, trusted)
     if faults := faults_of(file):
         raise NotIntact(f"it is not the PDF/A-3b that a certificate is: {'; '.join(faults)}")
     attached, title = _attached(file)
+    if signed is None and set(attached) == set(RELATIONS) - {DCC}:
+        raise NoCertificate("it is a draft, and was never issued")
     if set(attached) != set(RELATIONS):
         raise NotIntact(
             f"attached are {', '.join(sorted(attached))}, and a certificate has {', '.join(sorted(RELATIONS))}"
@@ -170,33 +242,36 @@ def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | 
         digital = _verify_xml(verdict, attached[DCC], trusted)
     except NotIntact as error:
         raise NotIntact(f"the attached {DCC}: {error}") from error
-    verdict.signed_at = signed.signed_at.isoformat()
+    if signed is not None and digital is not None:
+        verdict.signed_at = signed.signed_at.isoformat()
+        _agree_on_signer(signed, digital)
+    elif signed is not None or digital is not None:
+        signer, other = ("the PDF", "the XML in it") if signed is not None else ("the XML in it", "the PDF")
+        raise NotIntact(f"{signer} is signed, and nobody signed {other}")
     assert verdict.shown is not None  # noqa: S101 - what was verified is shown
-    _agree(verdict, signed, digital, verdict.shown, attached, title)
+    _agree(verdict, verdict.shown, attached, title)
     return attached
 
 
-def _agree(
-    verdict: Verdict,
-    paper: SignedPdf,
-    digital: SignedXml,
-    shown: Shown,
-    attached: dict[str, bytes],
-    title: str,
-) -> None:
-    """Raise `NotIntact` unless paper and digital certificate have signer, number and files in common."""
+def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
+    """Raise `NotIntact` unless paper and digital certificate have one signer, who signed the digital one first."""
     if fingerprint_of(paper.chain[0]) != fingerprint_of(digital.chain[0]):
         raise NotIntact(
             f"the PDF was signed by {name_of(paper.chain[0])}, its XML by {name_of(digital.chain[0])}"
         )
     if digital.signed_at > paper.signed_at:
         raise NotIntact("the XML in it says to have been signed after the PDF")
+
+
+def _agree(verdict: Verdict, shown: Shown, attached: dict[str, bytes], title: str) -> None:
+    """Raise `NotIntact` unless paper and digital certificate have number and files in common."""
     if not shown.number or not title.endswith(f" {shown.number}"):
         raise NotIntact(f"the PDF is of '{title}', its XML of certificate {shown.number}")
     for name, content in shown.files.items():
         if attached.get(name) != content:
             raise NotIntact(f"{name} in the XML is another than {name} in the PDF")
-    verdict.agreed.append("PDF and XML have signer, number, result and seal in common")
+    signer = "" if verdict.unsigned else "signer, "
+    verdict.agreed.append(f"PDF and XML have {signer}number, result and seal in common")
     verdict.not_proved.append(PAGES_NOT_READ)
 
 
@@ -213,11 +288,11 @@ def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) ->
 def _hold_beside(verdict: Verdict, attached: bytes, document: bytes, name: str) -> None:
     """Raise `NotIntact` unless the XML within the PDF and the one beside it say the same, by the same signer."""
     try:
-        within, outside = check_xml(attached), check_xml(document)
+        forms = [_signed_or_not(one) for one in (attached, document)]
     except NotIntact as error:
         raise NotIntact(f"{name} beside it: {error}") from error
-    same = fingerprint_of(within.chain[0]) == fingerprint_of(outside.chain[0])
-    if within.content != outside.content or not same:
+    signers = {None if signed is None else fingerprint_of(signed.chain[0]) for signed, _ in forms}
+    if len({content for _, content in forms}) > 1 or len(signers) > 1:
         raise NotIntact(f"{name} beside it is another certificate than the one in it")
     verdict.agreed.append(f"{name} beside it says the same")
 
@@ -243,7 +318,7 @@ def _name_signer(
         verdict.why_not_trusted = why_not_trusted(signed.chain, signed.signed_at, trusted)
 
 
-# --- numbers and record ---------------------------------------------------------------------------------
+# --- numbers, register and record -----------------------------------------------------------------------
 
 
 def _agree_on_numbers(shown: Shown) -> None:
@@ -264,6 +339,15 @@ def _agree_on_numbers(shown: Shown) -> None:
         )
     if not all(math.isclose(one.U, one.k * u[one.name], rel_tol=1e-12) for one in shown.coefficients):
         raise NotIntact("U of a coefficient is not k times its u")
+
+
+def _against_register(
+    verdict: Verdict, shown: Shown, file: Path, content: bytes, register: Path | None
+) -> None:
+    form = "xml" if content.lstrip()[:1] == b"<" else "pdf"
+    verdict.standing, held = held_against_register(shown.number, form, content, file, register)
+    verdict.wrong += filter(None, [held.wrong])
+    verdict.agreed += filter(None, [held.told])
 
 
 def _against_record(verdict: Verdict, shown: Shown, runs: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from bench.analysis.diagnosis import Diagnosis
 from bench.analysis.diagnosis.form.dark import Dark
 from bench.analysis.diagnosis.form.describe import FormTerm
-from bench.base.numbers import quantity, rounded, two_digits
+from bench.base.numbers import quantity, rounded, uncertainty
 from bench.report.diagnosis.words import with_unit
 
 
@@ -19,7 +19,7 @@ def term_in_words(term: FormTerm) -> str:
     added = f" to {effect.adds_to}" if effect.adds_to else ""
     sizes = [
         f"{name}{f' of {channel}' if channel else ''} = "
-        f"{with_unit(f'{rounded(value, u)} ± {two_digits(u)}', unit)} (u)"
+        f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
         for name, channel, value, u, unit in term.sizes()
     ]
     constants = [

@@ -17,7 +17,7 @@ from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.analysis.diagnosis.show import CoefficientChange, Shown, label
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake
-from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset
+from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.model import CATALOGUE
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
@@ -96,7 +96,7 @@ def _value_in_words(value: EffectValue) -> str:
 
 
 def _with_u(value: float, u: float, unit: str) -> str:
-    return f"{with_unit(f'{rounded(value, u)} ± {two_digits(u)}', unit)} (u)"
+    return f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
 
 
 def p_in_words(p: float, digits: int = 1) -> str:
@@ -386,7 +386,7 @@ def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
     yield f"{name}: {effect.verdict} ({typeset(chances)})"
     for was, now in zip(effect.found, effect.now, strict=True):
         of = f" of {was.channel}" if was.channel else ""
-        u = "" if not was.u else f" ± {two_digits(was.u)}"
+        u = "" if not was.u else f" ± {uncertainty(was.u)}"
         then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
         here = _with_u(now.value, now.u or 0.0, now.unit)
         yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"

@@ -1,17 +1,22 @@
 """The document says what the certificate says: values, covariance, statements, files."""
 
 import base64
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from lxml import etree
 
+from bench.analysis.budget.whole import dof_through
+from bench.api.verification import Asked, verification_of
 from bench.certificate.content import Before, uncertified
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.nodes import NAMESPACES
 from bench.certificate.dcc.results import region_factor
 from bench.certificate.dcc.rules import broken_rules
+from bench.certificate.paper import proof
+from bench.certificate.paper.blocks import Writer
 from tests.support.certificates import ORDER
 
 
@@ -115,6 +120,60 @@ def test_the_files_of_the_certificate_are_in_it(root, issued_certificate):
     }
     given = {one.name: one.content for one in issued_certificate.attachments}
     assert files == {name: given[name] for name in ("seal.json", "result.json")}
+
+
+def test_it_says_whether_it_is_signed_and_what_is_not_the_laboratorys_own(root, issued_certificate):
+    bare = replace(issued_certificate, issue=replace(issued_certificate.issue, signed_by=""))
+    unsigned = document_of(bare)
+    assert broken_rules(unsigned) == ()
+    for document, states in ((root, "signed"), (etree.fromstring(unsigned), "unsigned")):
+        said = {one.get("refType") for one in document.iter(f"{{{NAMESPACES['dcc']}}}statement")}
+        assert said & {"bench_signed", "bench_unsigned"} == {f"bench_{states}"}
+        assert {"bench_statement_item", "bench_sampling", "bench_external", "bench_supplied"} <= said
+
+
+def test_all_results_have_the_degrees_of_freedom_of_one_source(root, issued_certificate):
+    own = issued_certificate.found.result.calibration
+    assert np.array_equal(dof_through(own, np.eye(12)), own.dof)
+    for ref in ("coefficients", "coefficients_si", "inverse", "misalignments"):
+        path = f".//dcc:result[@refType='bench_{ref}']//dcc:metaData[@refType='bench_dof']//si:valueXMLList"
+        dof = floats(root.findtext(path, namespaces=NAMESPACES))
+        assert np.all((np.array(dof) >= own.noise.reading_dof) & np.isfinite(dof))
+        if ref != "misalignments":
+            assert dof[-3:] == own.dof[-3:].tolist()  # of U0, in each of them
+
+
+def test_the_temperature_of_the_block_has_its_uncertainty(root):
+    condition = root.find(".//dcc:influenceCondition[@refType='bench_temperature']", NAMESPACES)
+    values = condition.findall(".//si:value", NAMESPACES)
+    u = [float(one.text) for one in condition.iter(f"{{{NAMESPACES['si']}}}valueStandardMU")]
+    assert len(u) == len(values) > 0
+    assert u[0] == pytest.approx(0.5 / np.sqrt(3))
+
+
+@pytest.mark.parametrize(
+    ("rule", "word", "conformity"),
+    [
+        ("simple", "pass", "pass"),
+        ("guarded", "fail", "fail"),
+        ("non-binary", "conditional", "conditionalPass"),
+    ],
+)
+def test_nothing_is_conditional_under_a_binary_rule(issued_certificate, rule, word, conformity):
+    """|Δg| within the limit by less than the guard band: passed, failed or conditional, as the rule has it."""
+    found = issued_certificate.found
+    judged = verification_of(found.result.source, found.result, Asked(rule=rule))
+    assert judged.verification.statement == "conditional pass"
+    certificate = replace(issued_certificate, found=replace(found, verdict=judged))
+    root = etree.fromstring(document_of(certificate))
+    said = root.findtext(".//dcc:metaData[@refType='bench_conformity']/dcc:conformity", namespaces=NAMESPACES)
+    points = root.findtext(".//dcc:conformityXMLList", namespaces=NAMESPACES)
+    assert said == conformity
+    assert ("conditional" in points) == (rule == "non-binary")
+    write = Writer(certificate)
+    shown = json.dumps([*proof.verdict(certificate, write), *proof.pages(certificate, write, [])])
+    assert f"g: {word}" in shown
+    assert ("conditional pass" in shown) == (rule == "non-binary")
 
 
 def test_a_simulated_run_says_so_and_is_not_called_traceable(root):

@@ -74,6 +74,67 @@ def test_each_page_has_the_number_and_says_that_it_is_simulated(body):
     assert [page.count("End of the certificate") for page in pages] == [0] * (len(pages) - 1) + [1]
 
 
+def test_each_page_says_that_nobody_signed_it_unless_somebody_does(certificate, body):
+    pages = pages_of(body)
+    assert all("not signed" in page for page in pages)
+    assert not re.search(r"electronic|signed by", " ".join(pages))
+    signed = replace(certificate, issue=replace(certificate.issue, signed_by="Laboratory of Tests"))
+    text = " ".join(pages_of(body_of(signed, DCC)))
+    assert "electronic, by Laboratory of Tests, over the whole of this file" in text
+    assert "DCC, XML, signed by itself" in text
+    assert "not signed" not in text
+
+
+def test_values_end_at_the_place_of_their_uncertainty(certificate, body):
+    """JCGM 100:2008, 7.2.6: whatever stands with U on a page is rounded to the place of U, which has two digits."""
+    text = " ".join(pages_of(body)).replace("−", "-")
+    together = re.findall(r"(-?[\d.]+) (?:°C |m/s² )?± ([\d.]+)", text)
+    assert len(together) == 12 + 2
+    worst = re.search(r"\|Δg\| ≤ ([\d.]+) µg, U = ([\d.]+) µg", text)
+    for value, U in (*together, worst.groups()):
+        assert len(value.partition(".")[2]) == len(U.partition(".")[2])
+        assert len(U.replace(".", "").strip("0")) <= 2
+        if float(U) >= 100:
+            assert value.endswith("0")
+    points = certificate.found.verification.points
+    assert max(p.U for p in points) > 100e-6  # so that tens are rounded
+    assert f"{points[0].delta_g * 1e6:.1f}" not in text
+
+
+def test_what_is_not_the_laboratorys_own_is_marked(certificate):
+    """ISO/IEC 17025:2017, 7.8.2.1 k, l and p, 7.8.2.2, in both languages."""
+    plain = " ".join(pages_of(body_of(certificate, DCC)))
+    for words in (
+        "relate only to the unit calibrated",
+        "the results apply to it as received",
+        "Results from external providers none stated",
+        "but not for what the customer supplied",
+    ):
+        assert words in plain
+    assert "validity" not in plain
+    data = {
+        "sampling": "5 of 200 by plan S-2",
+        "external": ({"what": "linearity", "by": "Institute"},),
+        "supplied": ({"what": "supply voltage"}, {"what": "colour", "affects_validity": False}),
+    }
+    order = type(certificate.order).model_validate({**certificate.order.model_dump(), **data})
+    told = replace(certificate, order=order, texts=(texts_of("en"), texts_of("de")))
+    pages = pages_of(body_of(told, DCC))
+    text = " ".join(pages)
+    for words in (
+        "5 of 200 by plan S-2",
+        "linearity: from Institute",
+        "linearity: von Institute",
+        "supply voltage (can affect the validity of the results)",
+        "supply voltage (kann die Gültigkeit",
+    ):
+        assert words in text
+    assert "as received" not in text
+    assert "colour (can" not in text
+    assert "the laboratory has not verified them" in pages[0]
+    assert "das Laboratorium hat sie nicht geprüft" in pages[0]
+
+
 def test_the_first_page_answers(certificate, body):
     first = pages_of(body)[0]
     found = certificate.found
@@ -90,7 +151,8 @@ def test_the_first_page_answers(certificate, body):
     value = found.coefficients["Kxx"]
     assert f"{value.value:.9f}"[:6].replace("-", "−") in first
     assert "0.0003 g" in first
-    assert str(found.verification.statement) in first
+    assert "conditional" not in first  # a binary rule knows no such thing
+    assert "limit 0.0003 g: pass" in first
 
 
 def test_the_pages_prove(certificate, body):

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -117,12 +117,30 @@ def test_the_record_is_held_against_it(written, tmp_path):
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.intact
     assert any("the same result to the last digit" in text for text in verdict.agreed)
-    assert not any("not at hand" in text for text in verdict.not_proved)
+    assert not any("record is not at hand" in text for text in verdict.not_proved)
     events = tmp_path / "runs" / "finished" / "events.jsonl"
     events.write_bytes(b"".join(events.read_bytes().splitlines(keepends=True)[:-1]))
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
-    assert verdict.headline == "NOT INTACT"
+    assert verdict.headline == "CHANGED"
     assert "sealed were" in verdict.wrong[0]
+
+
+@pytest.mark.parametrize(("by_u", "intact"), [(1e-9, True), (1e-3, False)])
+def test_what_another_computer_rounds_otherwise_is_no_change(made, tmp_path, by_u, intact):
+    """A certificate whose result is off by so much of u from what its record gives here."""
+    shutil.copytree(RECORDED, tmp_path / "runs" / "finished")
+    found = made.certificate.found
+    first, *others = found.coefficients.values
+    moved = replace(first, value=first.value + by_u * first.u)
+    text = found.result_json.replace(f'"value": {first.value!r}', f'"value": {moved.value!r}', 1)
+    assert text != found.result_json
+    values = replace(found.coefficients, values=(moved, *others))
+    other = replace(made.certificate, found=replace(found, coefficients=values, result_json=text))
+    (tmp_path / "c.xml").write_bytes(sign_xml(document_of(other), a_signatory(), NOW))
+    verdict = looked_at(tmp_path / "c.xml", runs=tmp_path / "runs")
+    assert verdict.intact is intact
+    assert any("within 1e-06 u" in text for text in verdict.agreed) is intact
+    assert any("gives another result" in text for text in verdict.wrong) is not intact
 
 
 def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
@@ -130,7 +148,7 @@ def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
     (folder / "run.json").write_text((folder / "run.json").read_text().replace("A. Person", "B. Person"))
     verdict = looked_at(written / "c.pdf", runs=tmp_path / "runs")
     assert verdict.intact
-    assert any("not at hand" in text for text in verdict.not_proved)
+    assert any("record is not at hand" in text for text in verdict.not_proved)
 
 
 def swapped_signer(made):
@@ -179,17 +197,17 @@ def no_certificate(made):
     [
         (swapped_signer, "was signed by Somebody else, its XML by Laboratory of Tests"),
         (other_number, "its XML of certificate SIM-2026-0002"),
-        (unsigned_within, "the attached dcc.xml: nobody signed it"),
+        (unsigned_within, "the attached dcc.xml: it says that it is signed, and nobody signed it"),
         (changed_within, "the attached dcc.xml: the signature does not hold"),
         (other_values, "are not those of the result that it holds"),
         (other_result, "result.json in the XML is another"),
-        (no_certificate, "no digital calibration certificate"),
+        (no_certificate, "the attached dcc.xml: it is no digital calibration certificate"),
     ],
 )
 def test_forms_that_do_not_agree_are_refused_whoever_signed_them(made, tmp_path, make, words):
     (tmp_path / "c.pdf").write_bytes(make(made))
     verdict = looked_at(tmp_path / "c.pdf")
-    assert (verdict.headline, verdict.accepted) == ("NOT INTACT", False)
+    assert (verdict.headline, verdict.accepted) == ("CHANGED", False)
     assert words in " ".join(verdict.wrong)
     assert verdict.to_json()["signed"] is None
 
@@ -210,4 +228,6 @@ def test_files_that_cannot_be_read_are_told(tmp_path):
     (tmp_path / "c.pdf").write_bytes(b"nothing")
     with pytest.raises(Refused, match="no X\\.509"):
         looked_at(tmp_path / "c.pdf", tmp_path / "c.pdf")
-    assert "not a PDF" in looked_at(tmp_path / "c.pdf").wrong[0]
+    verdict = looked_at(tmp_path / "c.pdf")
+    assert (verdict.headline, verdict.accepted) == ("NO CERTIFICATE", False)
+    assert "not a PDF" in verdict.wrong[0]
