@@ -48,16 +48,31 @@ HIDDEN = [
 
 
 @pytest.fixture
-def hide(monkeypatch):
+def hide():
     """Make a package one that is not installed, for modules of ours that have imported it before, too."""
+    before, packages = {}, []
 
     def hidden(package):
-        ours = ("bench.certificate", "bench.catalogue", "bench.batch", "bench.panel", package)
-        for name in [name for name in sys.modules if name.startswith(tuple(f"{one}." for one in ours))]:
-            monkeypatch.delitem(sys.modules, name)
-        monkeypatch.setitem(sys.modules, package, None)
+        packages.append(package)
+        before.update({name: sys.modules.pop(name) for name in beneath(package)})
+        before[package] = sys.modules.get(package)
+        sys.modules[package] = None
 
-    return hidden
+    yield hidden
+    for name in [name for package in packages for name in beneath(package)]:
+        sys.modules.pop(name, None)  # what was imported without the package
+    for name, module in before.items():
+        sys.modules.pop(name, None)
+        if module is not None:
+            sys.modules[name] = module
+    for name in [name for name in before if name.startswith("bench.")]:
+        parent, _, child = name.rpartition(".")
+        setattr(sys.modules[parent], child, before[name])
+
+
+def beneath(package):
+    tops = ("bench.certificate", "bench.catalogue", "bench.batch", "bench.panel", package)
+    return [name for name in sys.modules if name.startswith(tuple(f"{top}." for top in tops))]
 
 
 @pytest.mark.parametrize(("package", "extra", "words"), HIDDEN, ids=str)
