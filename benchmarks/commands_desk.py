@@ -29,6 +29,7 @@ from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
 from bench.panel.access.people import Role
 from bench.panel.launching import carrying
+from bench.panel.launching.detached import Started
 from bench.procedure.plan import Read
 from bench.run import asking, listening
 from bench.run.answers import OpenPrompt
@@ -161,10 +162,10 @@ class Desk:
         started: queue.Queue[tuple[Sequence[str], Process] | None] = queue.Queue()
         replies: list[tuple[int, dict[str, Any]]] = []
 
-        def start(arguments: Sequence[str], log: Path) -> carrying.Started:
+        def start(arguments: Sequence[str], log: Path) -> Started:
             process = Process()
             started.put((arguments, process))
-            return carrying.Started(process, log)  # type: ignore[arg-type]
+            return Started(process, log)  # type: ignore[arg-type]
 
         def pressed() -> None:
             replies.append(self.browser.ask(f"/runs/{name}/{button}"))
@@ -329,5 +330,5 @@ class Typist(io.StringIO):
         super().__init__()
         self._desk = desk
 
-    def readline(self, size: int | None = -1, /) -> str:
+    def readline(self, size: int | None = -1, /) -> str:  # type: ignore[override]
         return self._desk.typed()
