@@ -1,36 +1,40 @@
 """What do signals do after the last reading? Promised: one `resume` makes all results, and a second signal ends it.
 
-    python -m benchmarks.results_campaign --signals 200 --seed 1 --jobs 2
+    python -m benchmarks.results_campaign --signals 200 --seed 1
 
-Every trial is a dry run by the command line in a process of its own. As soon as its record says that it has
-finished, SIGINT, SIGTERM or SIGKILL comes, single or twice, at a moment drawn over the way out and the making of
-results. Judged: no traceback; exit status 2 and the sentence that names `bench resume`, unless all results are there;
-how long the process takes to end, after a second signal 1 s at most; then one `resume`, and all results are there
-while the record is as it was. Exit status 1 when anything is amiss.
+Every trial is a process of its own that resumes a dry run after its last reading, as a kill there leaves it. As
+soon as the record says that it has finished, SIGINT, SIGTERM or SIGKILL comes, single or twice, at a moment drawn
+over the way out and the making of results. Judged: no traceback; exit status 2 and the sentence that names `bench
+resume`, unless all is there; how long the process takes to end, after a second signal 1 s at most; then one
+`resume`, and all results are there while the record is as it was. Exit status 1 when anything is amiss.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
+import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
-from bench.run.folder import Run
+import matplotlib.figure  # noqa: F401 - imported once, for all processes
+import scipy.optimize
+import scipy.stats  # noqa: F401
+
+from bench.cli import program
+from bench.run.folder import RESULTS, Run
 from bench.run.manifest import EVENTS
 from bench.run.states import RunState
 
-PROGRAM: Final = [sys.executable, "-c", "from bench.cli.program import main; main()"]
 MADE: Final = ("calibrate.json", "verify.json", "report.html")
 PATTERNS: Final = (
     (signal.SIGINT,),
@@ -76,27 +80,57 @@ def draw(count: int, seed: int) -> list[Trial]:
     return trials
 
 
-def begin(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """Start the program in a folder."""
-    return subprocess.Popen(  # noqa: S603 - our own program
-        [*PROGRAM, *arguments],
-        cwd=folder,
-        text=True,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+class Program:
+    """The program in a process forked from this one, which has imported numpy, scipy and matplotlib for it."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self._err = folder / f"{arguments[1]}.err"
+        self.process = get_context("fork").Process(target=self._run, args=(folder, arguments))
+        self.process.start()
+
+    def _run(self, folder: Path, arguments: tuple[str, ...]) -> None:
+        os.chdir(folder)
+        nothing = os.open(os.devnull, os.O_RDWR)
+        err = os.open(self._err, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for descriptor, to in ((0, nothing), (1, nothing), (2, err)):
+            os.dup2(to, descriptor)
+        sys.argv = ["bench", *arguments]
+        program.main()
+
+    def send(self, number: int) -> None:
+        """Send a signal, where the process still lives."""
+        if self.process.is_alive() and self.process.pid is not None:
+            os.kill(self.process.pid, number)
+
+    def wait(self) -> tuple[int, str]:
+        """Wait for its end; return the exit status and what stands on standard error."""
+        self.process.join(HANGS_S)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        return int(self.process.exitcode or 0), self._err.read_text(encoding="utf-8")
 
 
-def until_finished(folder: Path, name: str) -> tuple[subprocess.Popen[str], Path]:
-    """Begin a run and return it as soon as its record says that it has finished. Raises `RuntimeError`."""
-    process = begin(folder, "run", "quick", "--dry-run", "--seed", "7", "--name", name)
-    record = folder / "runs" / name / EVENTS
-    while not (record.exists() and b'"run_finished"' in record.read_bytes()[-4000:]):
-        if process.poll() is not None:
-            raise RuntimeError(process.communicate()[1])
+def unfinished(folder: Path, name: str) -> Path:
+    """Make a copy of the run `base` as a kill after its last reading leaves it; return its record."""
+    run = folder / "runs" / name
+    shutil.copytree(folder / "runs/base", run)
+    record = run / EVENTS
+    lines = record.read_bytes().splitlines(keepends=True)
+    end = next(number for number, line in enumerate(lines) if b'"run_finished"' in line)
+    record.write_bytes(b"".join(lines[:end]))
+    for made in (*MADE, RESULTS):
+        (run / made).unlink()
+    return record
+
+
+def until_finished(folder: Path, name: str) -> tuple[Program, Path]:
+    """Resume such a copy and return it as soon as its record says that it has finished."""
+    record = unfinished(folder, name)
+    resuming = Program(folder, "resume", name)
+    while resuming.process.is_alive() and b'"run_finished"' not in record.read_bytes()[-4000:]:
         time.sleep(0.002)
-    return process, record
+    return resuming, record
 
 
 def carry_out(trial: Trial, folder: Path, results_s: float) -> Outcome:
@@ -105,26 +139,21 @@ def carry_out(trial: Trial, folder: Path, results_s: float) -> Outcome:
     process, record = until_finished(folder, name)
     time.sleep(trial.moment * results_s)
     first, *second = trial.signals
-    process.send_signal(first)
+    process.send(first)
     for number in second:
         time.sleep(trial.gap_s)
-        process.send_signal(number)
+        process.send(number)
     sent_s = time.monotonic()
-    try:
-        said = process.communicate(timeout=HANGS_S)[1]
-    except subprocess.TimeoutExpired:
-        process.kill()
-        said = process.communicate()[1]
-        outcome.wrong.append("it hangs")
+    status, said = process.wait()
     outcome.ended_s = time.monotonic() - sent_s
     run = Run(record.parent)
     complete = not run.results_missing
-    outcome.how = f"status {process.returncode}, results {'complete' if complete else 'missing'}"
+    outcome.how = f"status {status}, results {'complete' if complete else 'missing'}"
     if len(trial.signals) > 1 and outcome.ended_s > SECOND_S:
         outcome.wrong.append(f"it ended {outcome.ended_s:.1f} s after the second signal")
-    told = process.returncode == STOPPED and f"'bench resume {name}'" in said
+    told = status == STOPPED and f"'bench resume {name}'" in said
     if not (complete or told or signal.SIGKILL in trial.signals):
-        outcome.wrong.append(f"it ended with {process.returncode}: {said[-300:]}")
+        outcome.wrong.append(f"it ended with {status}: {said[-300:]}")
     if "Traceback" in said or "Exception ignored" in said:
         outcome.wrong.append(said[-600:])
     resumed(outcome, run, complete=complete)
@@ -134,10 +163,9 @@ def carry_out(trial: Trial, folder: Path, results_s: float) -> Outcome:
 def resumed(outcome: Outcome, run: Run, *, complete: bool) -> None:
     """Resume once, and say what is amiss then."""
     record = (run.folder / EVENTS).read_bytes()
-    process = begin(run.folder.parents[1], "resume", run.name)
-    said = process.communicate()[1]
-    if process.returncode != (STOPPED if complete else 0) or "Traceback" in said:
-        outcome.wrong.append(f"resume ended with {process.returncode}: {said[-300:]}")
+    status, said = Program(run.folder.parents[1], "resume", run.name).wait()
+    if status != (STOPPED if complete else 0) or "Traceback" in said:
+        outcome.wrong.append(f"resume ended with {status}: {said[-300:]}")
     if run.results_missing or not all((run.folder / name).is_file() for name in MADE):
         outcome.wrong.append("results are missing after resume")
     if (run.folder / EVENTS).read_bytes() != record or run.history.problems:
@@ -168,21 +196,22 @@ def main() -> None:
     )
     parser.add_argument("--signals", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     trials = draw(given.signals, given.seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        process, _ = until_finished(folder, "undisturbed")
+        Program(folder, "run", "quick", "--dry-run", "--seed", "7", "--name", "base").wait()
+        undisturbed, _ = until_finished(folder, "undisturbed")
         begun_s = time.monotonic()
-        process.communicate()
+        undisturbed.wait()
         results_s = time.monotonic() - begun_s
-        with ThreadPoolExecutor(given.jobs) as pool:
-            outcomes = []
-            for outcome in pool.map(partial(carry_out, folder=folder, results_s=results_s), trials):
-                outcomes.append(outcome)
-                for text in outcome.wrong:
-                    print(f"AMISS {outcome.trial}: {text}", flush=True)
+        outcomes = []
+        for trial in trials:
+            outcomes.append(outcome := carry_out(trial, folder, results_s))
+            for text in outcome.wrong:
+                print(f"AMISS {trial}: {text}", flush=True)
+            if trial.number % 20 == 0:
+                print(f"{trial.number} runs, {time.monotonic() - begun_s:.0f} s", flush=True)
     print(table(outcomes))
     amiss = sum(bool(outcome.wrong) for outcome in outcomes)
     signals = sum(len(outcome.trial.signals) for outcome in outcomes)

@@ -6,7 +6,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
 from bench.base.whole import to_text, write_whole
 from bench.devices.chambers import ControlledChamberForm
-from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
+from bench.files.bench.file import BenchFile, foreign_drivers, load_bench
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.procedure.load import Procedure, check, load_procedure
@@ -35,18 +35,16 @@ from bench.run.asking import Asker
 from bench.run.chamber_watch import SLOW_AFTER_S
 from bench.run.clock_watch import ClockWatch
 from bench.run.control import ControlFile
-from bench.run.digest import Digests
-from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, RESULTS, Run, all_runs, checked_name, find_run
+from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, RESULTS, Run, checked_name
 from bench.run.history import History, read_history
 from bench.run.listening import WishListener
 from bench.run.log import RunLog
 from bench.run.manifest import Manifest, RecordError, VerdictAsked
 from bench.run.power import Feeding
-from bench.run.record import Record, is_being_written
+from bench.run.record import Record
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
 from bench.run.signals import Interrupts
-from bench.run.states import ENDED, RunState
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.watch.of_plan import watcher_of
 from bench.run.way_out import with_notes
@@ -165,20 +163,6 @@ def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
     return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
 
 
-def refuse_missing_devices(run: Run) -> None:
-    """Raise `Refused` where a driver that the run was begun with is not here."""
-    came_from = run.manifest.get("devices", {})
-    missing = [
-        f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")
-        for name in missing_drivers(run.folder / BENCH)
-    ]
-    if missing:
-        raise Refused(
-            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is "
-            "in with --devices or BENCH_DEVICES, or install its distribution"
-        )
-
-
 def _included(procedure: Procedure) -> dict[str, bytes]:
     """The files that a procedure includes, numbered, since two may have one name."""
     return {
@@ -194,57 +178,6 @@ def _free_name(procedure: str, runs: Path) -> str:
     while (runs / name).exists():
         name, number = f"{base}-{number}", number + 1
     return name
-
-
-def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
-    """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another.
-
-    With `results_too` it may be one that has finished and lacks results, where none waits to be gone on with.
-    """
-    if name is None:
-        digests = Digests(runs)
-        states = [(run, _idle_at(run, digests)) for run in all_runs(runs)]
-        digests.save()
-        waiting = [run for run, state in states if state is not None and state not in ENDED]
-        if results_too and not waiting:
-            waiting = [run for run, state in states if _lacks_results(run, state)]
-        if not waiting:
-            raise Refused(f"{runs}: no unfinished run there")
-        return waiting[-1]
-    found = find_run(name, runs)
-    if found.imported:
-        raise Refused(f"{found.name}: was imported from a readings file; there is nothing to go on with")
-    return found
-
-
-def taken_up(
-    run: Run,
-    shield: Callable[[], AbstractContextManager[None]] = nullcontext,
-    *,
-    results_too: bool = False,
-) -> tuple[Record, History]:
-    """Open a run to go on with it; with `results_too` it may have finished and lack results.
-
-    Raises `Refused` for another that has ended, `RecordError` as `Record.reopen`.
-    """
-    record, history = Record.reopen(run.folder, utc_now, shield)
-    if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
-        record.close()
-        raise Refused(f"{run.name}: nothing to do, the run is {history.state}")
-    return record, history
-
-
-def _lacks_results(run: Run, state: RunState | None) -> bool:
-    return state is RunState.FINISHED and run.results_missing
-
-
-def _idle_at(run: Run, digests: Digests) -> RunState | None:
-    """Return the state of a run that was begun here and that nobody is carrying out, None for another."""
-    try:
-        state = None if run.imported else digests.of(run).state
-    except (RecordError, ValueError):
-        return None
-    return None if is_being_written(run.folder) else state
 
 
 def carry_out(

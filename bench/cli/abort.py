@@ -9,8 +9,7 @@ from bench.cli.options import RUNS, LatestRun, RunsOption, app
 @app.command(epilog="Example: bench abort unit-17")
 def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
     """End an interrupted run for good; its record is kept."""
-    from bench.api.execution import unfinished_run
-    from bench.api.giving_up import give_up
+    from bench.api.left_runs import give_up, unfinished_run
     from bench.run.control import at_the_shell
 
     found = unfinished_run(name, runs)

@@ -37,8 +37,9 @@ def resume(
     runs: RunsOption = RUNS,
 ) -> int:
     """Go on with an interrupted run at the first point without a reading; make the results that it lacks."""
-    from bench.api.execution import carry_out, refuse_missing_devices, taken_up, unfinished_run
+    from bench.api.execution import carry_out
     from bench.api.heard import heard_in
+    from bench.api.left_runs import refuse_missing_devices, taken_up, unfinished_run
     from bench.run.control import ControlFile
     from bench.run.folder import Run
     from bench.run.listening import WishListener

@@ -13,7 +13,7 @@ from typing import Any, Final
 from bench.api.records import run_summary
 from bench.panel.folder import RunsFolder
 from bench.run.digest import Digests
-from bench.run.folder import BENCH, PLAN, PROCEDURE, VERIFY, Run
+from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Run
 from bench.run.manifest import EVENTS, MANIFEST, RecordError
 from bench.run.record import is_being_written
 from drivers.clock import Clock, SystemClock
@@ -152,7 +152,7 @@ def _of_manifest(run: Run) -> Row:
 def _stamp(folder: Path) -> Stamp:
     place = str(folder)
     stamps: list[tuple[int, int, int] | None] = []
-    for name in (MANIFEST, EVENTS, f"{VERIFY}.json", PLAN, PROCEDURE, BENCH):
+    for name in (MANIFEST, EVENTS, RESULTS, f"{VERIFY}.json", PLAN, PROCEDURE, BENCH):
         try:
             found = os.stat(f"{place}/{name}")  # noqa: PTH116 - thousands at once: a path costs more than to look
             stamps.append((found.st_mtime_ns, found.st_size, found.st_ino))

@@ -262,8 +262,9 @@ def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
 
 def _refuse_taken(folder: Path) -> None:
     if os.path.lexists(folder):
-        kind = "run" if (folder / MANIFEST).is_file() else "file or folder"
-        raise RecordError(f"{folder}: there is a {kind} of that name; choose another with --name")
+        if (folder / MANIFEST).is_file():
+            raise RecordError(f"{folder}: there is a run of that name; choose another with --name")
+        raise RecordError(f"{folder}: there is a file or folder of that name; choose another with --name")
 
 
 def _write_durably(path: Path, content: bytes) -> None:

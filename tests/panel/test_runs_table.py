@@ -6,6 +6,7 @@ import shutil
 
 import pytest
 
+from bench.api.records import run_summary
 from bench.panel.access.people import Refusal
 from bench.panel.folder import RunsFolder, read_page
 from bench.panel.table import UNREAD, RunsTable, state_at_the_end
@@ -31,7 +32,9 @@ def names(reply):
 
 def test_each_run_has_its_state_and_how_to_go_on(runs):
     rows = {row.name: row for row in RunsTable(RunsFolder(runs)).rows()}
-    assert (rows["finished"].state, rows["finished"].to_go_on) == ("finished", "")
+    assert (rows["finished"].state, rows["finished"].to_go_on) == ("finished", "bench resume finished")
+    (runs / "finished" / "report.html").touch()
+    assert run_summary(Run(runs / "finished"))["to_go_on"] == ""
     assert rows["interrupted"].to_go_on == "bench resume interrupted"
     text = Browser(runs, "anna").get("/").text
     assert ">resume</a>" in text
