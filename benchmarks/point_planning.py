@@ -17,9 +17,10 @@ from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.planning.goals import Goal, coefficient_goals, vector_goal
-from bench.analysis.planning.points import Points, Sites, Stand, best_within, cheapest
+from bench.analysis.planning.points import Points, Sites, best_within, cheapest
 from bench.analysis.planning.procedure_text import Times
 from bench.analysis.planning.settings import Setting, conditions_of, fitted, settings_of
+from bench.analysis.planning.stand import Stand
 from bench.base.arrays import Floats
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure

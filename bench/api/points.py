@@ -21,9 +21,10 @@ from bench.analysis.planning.goals import (
     vector_goal,
     whole_goal,
 )
-from bench.analysis.planning.points import Points, Stand
+from bench.analysis.planning.points import Points
 from bench.analysis.planning.procedure_text import VERIFICATION_DEG, Times, procedure_text
 from bench.analysis.planning.settings import Setting, fitted, settings_of
+from bench.analysis.planning.stand import Stand
 from bench.api.errors import Refused
 from bench.api.quantities import named, quantity
 from bench.base.arrays import Floats

@@ -14,7 +14,7 @@ import numpy as np
 from bench.analysis.budget.sources import assumed_stand
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.planning.goals import Goal, coefficient_goals, modulus_goals, vector_goal, whole_goal
-from bench.analysis.planning.points import Stand
+from bench.analysis.planning.stand import Stand
 from bench.analysis.planning.until.aim import (
     NO_GOAL,
     Aim,

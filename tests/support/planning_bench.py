@@ -5,8 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from bench.analysis.planning.goals import Goal, whole_goal
-from bench.analysis.planning.points import Sites, Stand
+from bench.analysis.planning.points import Sites
 from bench.analysis.planning.settings import Cost, fitted, settings_of
+from bench.analysis.planning.stand import Stand
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import Block, ForwardModel, Mounting

@@ -12,8 +12,8 @@ from bench.analysis.planning.goals import (
     modulus_goals,
     vector_goal,
 )
-from bench.analysis.planning.points import Stand
 from bench.analysis.planning.settings import conditions_of
+from bench.analysis.planning.stand import Stand
 from bench.model import Mounting
 from tests.support.paper_bench import ARCSEC, K
 from tests.support.planning_bench import PAPER, SIZES, STAND

@@ -10,8 +10,8 @@ from bench.analysis.calibration.noise import LEAST_REPEATS
 from bench.analysis.calibration.result import Noise
 from bench.analysis.planning.exchange import widening
 from bench.analysis.planning.goals import coefficient_goals
-from bench.analysis.planning.points import checks_of, repeats
 from bench.analysis.planning.settings import conditions_of, fitted, settings_of
+from bench.analysis.planning.stand import checks_of, repeats
 from bench.api.points import delta_g_of, stand_of
 from bench.files.bench.file import load_bench
 from bench.files.bench.stand import AngleError

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.planning.goals import Goal
-from bench.analysis.planning.points import WITHOUT_NOISE, Stand
+from bench.analysis.planning.stand import WITHOUT_NOISE, Stand
 from bench.analysis.planning.until.pool import Pool
 from bench.base.arrays import Floats
 

@@ -17,8 +17,8 @@ import numpy as np
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.design import make_problem as problem_of
 from bench.analysis.calibration.noise import whiten
-from bench.analysis.planning.points import Stand
 from bench.analysis.planning.settings import Setting, conditions_of
+from bench.analysis.planning.stand import Stand
 from bench.base.arrays import Floats
 from bench.model import AppliedEffect, Effect
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.calibration.noise import LEAST_REPEATS
-from bench.analysis.planning.points import Stand
+from bench.analysis.planning.stand import Stand
 from bench.analysis.planning.until.aim import NO_GOAL, Aim, Reached
 from bench.analysis.planning.until.design import Design, Grid, Task, Visits, enough
 from bench.analysis.planning.until.noise import NOTHING_KNOWN, Scale

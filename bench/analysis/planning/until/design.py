@@ -17,8 +17,8 @@ from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.noise import LEAST_REPEATS
 from bench.analysis.planning.exchange import ExchangeDesign, SettingPool, widening
 from bench.analysis.planning.goals import Goal
-from bench.analysis.planning.points import Stand, whitened
 from bench.analysis.planning.settings import conditions_of
+from bench.analysis.planning.stand import Stand, whitened
 from bench.analysis.planning.until.pool import Site
 from bench.base.arrays import Floats, Ints
 from bench.model import Mounting

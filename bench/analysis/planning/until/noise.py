@@ -10,7 +10,7 @@ from scipy.special import gammaincinv
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.noise import whiten
-from bench.analysis.planning.points import Stand, whitened
+from bench.analysis.planning.stand import Stand, whitened
 from bench.base.arrays import Floats
 from bench.readings.table import Readings
 
