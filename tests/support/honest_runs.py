@@ -137,14 +137,14 @@ def run_few(seed: int, numbers: range, design: str, times: float | None = None) 
             noise_v, setting_rad = times * noise_v, times * setting_rad
         try:
             found = calibrate(simulate_few(rng, design, noise_v, setting_rad), MODEL, STATED, 9.81)
-        except CalibrationError as error:
-            refused.append(str(error))
+        except CalibrationError as refusal:
+            refused.append(str(refusal))
             continue
         said = [
             note for note in found.notes if "u rests on the sizes of the noise that the bench file" in note
         ]
-        disagrees = any("disagree" in note for note in said)
-        rows.append((found.block.vector - TRUTH, found.u_readings, bool(said), disagrees))
+        doubted = any("disagree" in note for note in said)
+        rows.append((found.block.vector - TRUTH, found.u_readings, bool(said), doubted))
     error, u, rests, disagrees = (np.array(column) for column in zip(*rows, strict=True))
     return FewRuns(error, u, tuple(refused), rests, disagrees)
 
