@@ -43,7 +43,7 @@ def result_of(path):
 def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench):
     Path("hidden.yaml").write_text(HIDDEN, encoding="utf-8")
     run = bench("run", "calibration", "--dry-run", "--model", "hidden.yaml", "--name", "a", "--seed", 5)
-    assert run[0] == 0
+    assert run[0] == 1
     status, out, err = bench("diagnose", "a", "--json", "a.json")
     assert (status, err) == (0, "")
     found = result_of("a.json")

@@ -87,6 +87,8 @@ def calibrate(
     require_told(fit.noise)
     fit_test = gls.lack_of_fit(problem, fit)
     tails = heavy_tails(problem, fit)
+    digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
+    fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
     accepted = fit_test.accepted()  # else readings that are far off are off from a wrong model
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
     shared = take_in(problem, fit, readings.unit, floor) if find_shared else Shared(fit)

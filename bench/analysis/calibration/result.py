@@ -163,13 +163,15 @@ class LackOfFit:
     `chi2` with `dof` is what the model leaves beyond the scatter of repeats, in units of that scatter; `p`
     the probability of more (F test against the scatter). NaN where there are not enough repeats. Where the
     noise was given, all that is left is compared with it. The closed form has `chi2` and `p` of the least
-    squares on the same readings: they judge the model, not the estimator.
+    squares on the same readings: they judge the model, not the estimator. `rounding` is how much the digits of
+    readings without noise leave, which no model can explain.
     """
 
     rms: float
     chi2: float
     dof: int
     p: float
+    rounding: float = 0.0
 
     @property
     def shown(self) -> bool:
@@ -178,7 +180,7 @@ class LackOfFit:
 
     def accepted(self, *, strict: bool = False) -> bool:
         """Whether a command that computes coefficients accepts them; with `strict` no lack of fit may be shown."""
-        return not (self.shown if strict else self.p < NOT_ACCEPTED_P)
+        return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
         """Say where to look for the reason where it is not accepted; nothing where it is."""
@@ -378,7 +380,7 @@ class Calibration(HasCovariance):
             "effects": {name: estimate.to_json() for name, estimate in self.effects.items()},
             "not_observable": list(self.assumed),
             "residual": {
-                **{name: finite_or_none(number) for name, number in asdict(fit).items()},
+                **{name: finite_or_none(getattr(fit, name)) for name in ("rms", "chi2", "p")},
                 "dof": fit.dof,
                 "birge": self.birge,
             },

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -204,4 +204,4 @@ def _plateau_json(plateau: PlateauResult) -> dict[str, Any]:
 
 
 def _fit_json(fit: LackOfFit) -> dict[str, float | None]:
-    return {name: finite_or_none(value) for name, value in asdict(fit).items()}
+    return {name: finite_or_none(getattr(fit, name)) for name in ("rms", "chi2", "dof", "p")}
