@@ -13,6 +13,7 @@ import gc
 import json
 import math
 import shutil
+import socket
 import tempfile
 import tracemalloc
 from collections import Counter
@@ -25,6 +26,7 @@ from bench.panel.access.people import Role
 from bench.panel.access.store import Access
 from bench.panel.app import make_app
 from bench.panel.holding import JOURNAL
+from bench.panel.serving import config_of
 from bench.panel.settings import STATE, Settings
 from bench.run.answers import ANSWERS, asked_to_json, problem_with_answer
 from bench.run.control import CONTROL
@@ -255,13 +257,12 @@ async def served(place: Place, count: int, seed: int) -> list[str]:
     """Send raw bytes to the panel behind the server that it comes with."""
     import uvicorn
 
-    server = uvicorn.Server(
-        uvicorn.Config(place.app, host="127.0.0.1", port=0, log_level="critical", ws="none")
-    )
-    serving = asyncio.create_task(server.serve())
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(config_of(place.app))
+    serving = asyncio.create_task(server.serve(sockets=[listener]))
     while not server.started:
         await asyncio.sleep(0.05)
-    port = server.servers[0].sockets[0].getsockname()[1]
+    port = listener.getsockname()[1]
     try:
         return await raw(port, count, seed)
     finally:

@@ -13,6 +13,7 @@ from bench.api.errors import Refused
 from bench.api.source import Request, Source, load_sources
 from bench.base.arrays import Floats
 from bench.base.whole import from_text, write_whole
+from bench.base.words import repeated
 from bench.exchange.forms import FORMS
 from bench.exchange.result import BlockResult
 from bench.run.manifest import MANIFEST
@@ -52,9 +53,8 @@ def results_of(request: Request) -> list[Given]:
             (source,) = load_sources(replace(request, sources=[name]))
             found.append(Given(calibration_of(source).derived, Path(), source))
     files = [given.file("") for given in found]
-    for file in files:
-        if files.count(file) > 1:
-            raise Refused(f"--out: two sources would write {file}*; give each a folder of its own")
+    for file in repeated(map(str, files)):
+        raise Refused(f"--out: two sources would write {file}*; give each a folder of its own")
     return found
 
 

@@ -16,6 +16,7 @@ from bench.api.meters import voltmeter_names
 from bench.api.origin import Origin, Told, origin_beside, origin_of_run
 from bench.api.taken import BenchTaken, bench_of, recorded_sha256
 from bench.api.traceability import Traced, trace
+from bench.base.words import repeated
 from bench.files.bench.file import BenchFile
 from bench.files.model import ModelFile, load_model
 from bench.model import CATALOGUE, Effect, ForwardModel
@@ -160,9 +161,8 @@ def check_places(request: Request) -> None:
         raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
     names = [given for given in request.sources if isinstance(given, str)]
     places = [_output(name, _run_of(name, request.runs), request.out, "", "") for name in names]
-    for place in places:
-        if places.count(place) > 1:
-            raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
+    for place in repeated(map(str, places)):
+        raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
 
 
 def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
+QUOTED: Final = 80
+"""Characters of a text from outside that a sentence quotes."""
+
 _ACTS: Final = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f"  # C0 and C1, escape among them
     "\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f"  # what turns the direction of writing, or is not seen
@@ -20,6 +23,11 @@ def visible(text: str) -> str:
     Ends of lines and tabs stay. What is visible already comes back as it is.
     """
     return _ACTS.sub(_escape, text)
+
+
+def shortened(text: str) -> str:
+    """Return a text as a sentence quotes it."""
+    return text if len(text) <= QUOTED else f"{text[:QUOTED]}…"
 
 
 def _escape(found: re.Match[str]) -> str:

@@ -9,7 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from bench.base.visible import in_json, visible
+from bench.base.visible import in_json, shortened, visible
+from bench.base.words import repeated
 
 
 def to_text(result: Any) -> str:
@@ -36,9 +37,8 @@ def _no_number(word: str) -> Any:
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     whole = dict(pairs)
     if len(whole) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"'{twice}' stands twice")
+        twice = repeated(name for name, _ in pairs)[0]
+        raise ValueError(f"'{shortened(twice)}' stands twice")
     return whole
 
 

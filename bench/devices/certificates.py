@@ -29,6 +29,7 @@ from bench.base.units import (
     not_negative,
     reads,
 )
+from bench.base.words import repeated
 
 DAYS_OF_YEAR: Final = 365.25
 
@@ -235,8 +236,7 @@ def of_known_ranges(certificate: VoltmeterCertificate, known_v: Iterable[float])
 
 
 def _refuse_twice(names: list[str], what: str) -> None:
-    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
-    if twice:
+    if twice := repeated(names):
         raise ValueError(f"the {what} {', '.join(twice)} stands twice; leave one out")
 
 

@@ -14,6 +14,8 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.regular import read_given
+from bench.base.visible import shortened
+from bench.base.words import repeated
 from bench.readings.cells import as_cell, of_cell
 from bench.readings.level_columns import LEVEL_COLUMNS, wrong_level_cell
 from bench.readings.numbers import BadCell, angle, direction, integer, number
@@ -177,7 +179,7 @@ def split_table(
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         raise ReadingsError(f"{path}, line 1: columns must be separated by commas (and decimals by a dot)")
-    twice = sorted({name for name in header if header.count(name) > 1})
+    twice = sorted(map(shortened, repeated(header)))
     if twice:
         raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} stands more than once")
     return header, body
