@@ -12,6 +12,7 @@ from bench.api.coefficients import block_result
 from bench.api.errors import Refused
 from bench.api.source import Request, Source, load_sources
 from bench.base.arrays import Floats
+from bench.base.numbers import read_number
 from bench.base.whole import from_text, write_whole
 from bench.base.words import repeated
 from bench.exchange.forms import FORMS
@@ -99,7 +100,7 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
     if text is None:
         return None
     try:
-        values = np.array([float(part) for part in text.split(",")])
+        values = np.array([read_number(part) for part in text.split(",")])
     except ValueError:
         values = np.zeros(0)
     if values.shape != (3,) or not np.all(np.isfinite(values) & (values != 0)):

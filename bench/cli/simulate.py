@@ -114,7 +114,7 @@ def _command(control: str | None, text: str | None) -> int:
     if control is None or text is None:
         raise Refused("a bench that is served takes: bench simulate --control HOST:PORT 'turn 45 deg'")
     host, _, port = control.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
+    if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise Refused(f"--control {control}: expected HOST:PORT as 'bench simulate' shows it")
     line = " ".join(text.split())
     try:

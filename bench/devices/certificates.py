@@ -47,7 +47,7 @@ _ROUNDING_RAD: Final = 1e-6
 def _day(written: object) -> datetime.date:
     if isinstance(written, datetime.date):
         return written
-    if not isinstance(written, str) or re.fullmatch(r"\d{4}-\d\d-\d\d", written) is None:
+    if not isinstance(written, str) or re.fullmatch(r"[0-9]{4}-[0-9][0-9]-[0-9][0-9]", written) is None:
         raise ValueError(f"expected a date such as 2026-03-02, got '{written}'")
     try:
         return datetime.date.fromisoformat(written)

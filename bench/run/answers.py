@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.base.visible import in_json
+from bench.base.numbers import read_number
+from bench.base.visible import in_json, shortened
 from bench.run.control import NOBODY_KNOWN, Who
 from bench.run.events import Event, EventType
 from drivers.angles import format_dms, parse_angle, read_angle
@@ -297,11 +298,11 @@ def _problem_with_number(prompt: Prompt, given: str) -> str:
 
 def _number(given: str, unit: str) -> float:
     try:
-        if "_" in given:
-            raise ValueError
-        return float(given.replace(",", ".").removesuffix(unit).strip())
+        return read_number(given.replace(",", ".").removesuffix(unit).strip())
     except ValueError:
-        raise ValueError(f"a number{' in ' + unit if unit else ''} is wanted, not {given!r}") from None
+        raise ValueError(
+            f"a number{' in ' + unit if unit else ''} is wanted, not {shortened(given)!r}"
+        ) from None
 
 
 def _between(prompt: Prompt, value: float) -> float:

@@ -68,11 +68,11 @@ _CONTENT: Final = {
 }  # fmt: skip
 """Children by element, in their order: `?` none or one, `*` any number, `+` one at least; all others hold text."""
 
-_NUMBER: Final = r"[-+]?((\d*\.\d+)|(\d+\.\d*)|(\d+\.?))([Ee][-+]?\d+)?|NaN"
-_SIZE: Final = r"\+?((\d*\.\d+)|(\d+\.\d*)|(\d+\.?))([Ee][-+]?\d+)?|NaN"
-_K: Final = r"\+?([1-9]\d*(\.\d*)?)"
-_P: Final = r"\+?((0(\.\d*)?)|(1(\.0*)?))"
-_DAY: Final = r"\d{4}-\d\d-\d\d"
+_NUMBER: Final = r"[-+]?(([0-9]*\.[0-9]+)|([0-9]+\.[0-9]*)|([0-9]+\.?))([Ee][-+]?[0-9]+)?|NaN"
+_SIZE: Final = r"\+?(([0-9]*\.[0-9]+)|([0-9]+\.[0-9]*)|([0-9]+\.?))([Ee][-+]?[0-9]+)?|NaN"
+_K: Final = r"\+?([1-9][0-9]*(\.[0-9]*)?)"
+_P: Final = r"\+?((0(\.[0-9]*)?)|(1(\.0*)?))"
+_DAY: Final = r"[0-9]{4}-[0-9][0-9]-[0-9][0-9]"
 _STATUS: Final = "pass|fail|conditionalPass|conditionalFail|noPass|noFail"
 
 _SPELT: Final = {
