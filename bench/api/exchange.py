@@ -13,6 +13,7 @@ from bench.api.errors import Refused
 from bench.api.source import Request, Source, load_sources
 from bench.base.arrays import Floats
 from bench.base.numbers import read_number
+from bench.base.regular import read_regular
 from bench.base.whole import from_text, write_whole
 from bench.base.words import repeated
 from bench.exchange.forms import FORMS
@@ -65,7 +66,7 @@ def _is_result(path: Path) -> bool:
 
 def _read(path: Path, out: Path | None) -> list[Given]:
     try:
-        data = from_text(path.read_text(encoding="utf-8"))
+        data = from_text(read_regular(path).decode())
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from bench.api.errors import Refused
 from bench.base.forms import Document, load_document, validated
 from bench.base.json_text import read_json
+from bench.base.regular import read_regular
 from bench.base.whole import write_whole
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.extra import needing_packages
@@ -233,7 +234,7 @@ def _write(
             "laboratory": register.keep(desk.laboratory_file.text.encode()),
             "order": register.keep(desk.order_file.text.encode()),
             "seal": register.keep(found.record.seal.encode()),
-            "logo": None if logo is None else register.keep(logo.read_bytes()),
+            "logo": None if logo is None else register.keep(read_regular(logo)),
         },
     }
     entry = Entry(ISSUED, number, whole.issue.issued if whole.issue else "", person.name, data)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.api.errors import Refused
+from bench.base.regular import read_regular
 from bench.cli import printing
 from bench.cli.options import BenchOption, ModelOption, app
 
@@ -188,7 +189,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
         yield
     finally:
         with contextlib.suppress(OSError):
-            if ordinary and ready_file.read_text(encoding="utf-8") == text:
+            if ordinary and read_regular(ready_file).decode() == text:
                 ready_file.unlink()
 
 

@@ -13,6 +13,7 @@ from urllib.parse import quote, urlsplit
 
 from filelock import FileLock, Timeout
 
+from bench.base.regular import read_regular
 from bench.base.whole import from_text, to_text, write_whole
 from bench.panel.access.kept import private_folder
 from bench.panel.access.people import Refusal
@@ -128,7 +129,7 @@ def _listening(settings: Settings) -> socket.socket:
 def url_of(runs: Path) -> str:
     """Return where the panel of a folder is, as it said itself when it began; empty where none ever did."""
     try:
-        told = from_text((runs / STATE / SERVER).read_bytes())
+        told = from_text(read_regular(runs / STATE / SERVER))
         return str(told["url"])
     except (OSError, ValueError, KeyError, TypeError):
         return ""

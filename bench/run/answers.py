@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.numbers import read_number
+from bench.base.regular import open_regular
 from bench.base.visible import in_json, shortened
 from bench.run.control import NOBODY_KNOWN, Who
 from bench.run.events import Event, EventType
@@ -58,7 +59,7 @@ class LeftAnswer:
 def leave_answer(folder: Path, answer: LeftAnswer) -> None:
     """Leave an answer in the folder of a run. Raises `OSError` where it cannot be written."""
     line = in_json(json.dumps(answer.to_json(), ensure_ascii=False)).encode() + b"\n"
-    with (folder / ANSWERS).open("ab", buffering=0) as file:
+    with open_regular(folder / ANSWERS, "ab") as file:
         file.write(line)
 
 
@@ -83,7 +84,7 @@ class AnswersFile:
     def _next(self) -> bytes | None:
         """Return the next whole line, however long it is no more than its beginning."""
         try:
-            with self._path.open("rb") as file:
+            with open_regular(self._path) as file:
                 file.seek(self._place)
                 beginning = part = file.readline(8 * LONGEST)
                 length = len(part)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from bench.analysis.calibration import CalibrationError
 from bench.api.errors import Refused
+from bench.base.regular import read_regular
 from bench.certificate.gather import found_by
 from bench.certificate.verify.shown import Shown
 from bench.run.folder import find_run
@@ -46,7 +47,7 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
         return Held(wrong="the seal in the digital certificate cannot be read")
     except (RecordError, OSError):
         return None
-    if seal.manifest_sha256 != sha256((run.folder / MANIFEST).read_bytes()):
+    if seal.manifest_sha256 != sha256(read_regular(run.folder / MANIFEST)):
         return None
     if differences:
         return Held(wrong=f"{folder}: {'; '.join(differences)}")
