@@ -25,6 +25,11 @@ NEAR: Final = 0.3
 """A size is one of these factors off where it is within a factor of 2 of it."""
 LEAST_SPAN_G: Final = 0.5
 """Along a channel, in a part of the table: less says nothing of its size."""
+PREFIXES: Final = (-2, -1, 0, 1, 2)
+MUCH_BETTER: Final = 1e-4
+"""A part in which a channel hardly moves has the unit that leaves no more of the sum of squares."""
+CLEARLY: Final = 30.0
+"""Three signals together are so many times larger or smaller than usual where their unit is another."""
 FITS: Final = 0.02
 """Part of the variance of the signals that is left at most where the units are right."""
 
@@ -100,6 +105,7 @@ def wrong_unit(readings: Readings, model: ForwardModel, nominal: Sequence[float]
     force = plain.specific_force(conditions, still, Block(np.eye(3), np.zeros(3)))
     for name, labels in _groupings(oriented):
         power = _powers(oriented.signal, force, labels, nominal)
+        _with_still_parts(power, oriented.signal, force, labels)
         if not power.any():
             continue
         scaled = oriented.signal * 10.0 ** (-PREFIX * power)
@@ -141,6 +147,29 @@ def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[
         one = np.where(known[k], whole[k], told[0] if len(told) == 1 else 0.0)
         power[rows[name]] = one.astype(np.int64)
     return power
+
+
+def _with_still_parts(power: Ints, signal: Floats, force: Floats, labels: list[str]) -> None:
+    """Put into `power` the parts in which a channel hardly moves: by the bias that makes them fit the others."""
+    for i in range(3):
+        own = signal[:, i : i + 1] * 10.0 ** (-PREFIX * power[:, i : i + 1])
+        if _unexplained(force, own) <= FITS:
+            continue
+        for name in sorted(set(labels)):
+            rows = np.array([label == name for label in labels])
+            if np.isfinite(_sizes(signal[rows], force[rows])[i]):
+                continue
+            left = {
+                c: _left(force, np.where(rows[:, None], own * 10.0 ** (-PREFIX * c), own)) for c in PREFIXES
+            }
+            best = min(left, key=left.__getitem__)
+            if left[best] < MUCH_BETTER * left[0]:
+                power[rows, i] += best
+
+
+def _left(force: Floats, signal: Floats) -> float:
+    """Return the sum of squares that the nominal geometry leaves."""
+    return float(np.sum(least_squares(linear_columns(force), signal)[1] ** 2))
 
 
 def _sizes(signal: Floats, force: Floats) -> Floats:
@@ -185,7 +214,9 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)
     usual = float(np.median(np.linalg.norm(scaled, axis=1)))
-    choices = np.unique(np.vstack([power, np.zeros((1, 3), dtype=np.int64)]), axis=0)
+    if CLEARLY > float(np.linalg.norm(readings.signal[row])) / usual > 1 / CLEARLY:
+        return np.zeros(3, dtype=np.int64)
+    choices = np.unique(power, axis=0)
     sizes = np.linalg.norm(readings.signal[row] * 10.0 ** (-PREFIX * choices), axis=1)
     return np.asarray(choices[int(np.argmin(np.abs(np.log(np.maximum(sizes, 1e-300) / usual))))])
 

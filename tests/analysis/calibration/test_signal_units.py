@@ -45,6 +45,10 @@ CASES = {
     "all signals of pass 2 seem to be in mV": ({}, {"pass_number": 2}),
     "the signals of channel z of pass 2 seem to be in mV": ({"channels": (2,)}, {"pass_number": 2}),
     "all signals of installation 2 seem to be in mV": ({}, {"installation": "2"}),
+    "the signals of channel y of installation 1 seem to be in mV": (
+        {"channels": (1,)},
+        {"installation": "1"},
+    ),
 }
 
 
