@@ -220,7 +220,7 @@ def _catalogue() -> bytes:
 
 # --- Python ------------------------------------------------------------------------------------------------
 
-_VALUES: Final = (
+_VALUES: Final[tuple[Any, ...]] = (
     5, -1, 1.5, True, False, b"x", [], {}, (), [1], ("a", "b"), (1.0,), (1e-4, 1e-4), object(), float("nan"),
     10**400, 3j, datetime.date(2020, 1, 1), ["nonsense"], "x" * LONG, "\ud800", *WEIRD,
 )  # fmt: skip
