@@ -25,7 +25,6 @@ from bench.api.traceability import remarks
 from bench.api.until import noted_goals, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
 from bench.base.progress import quiet
-from bench.base.regular import read_regular
 from bench.devices.chambers import ControlledChamberForm
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.files.model import load_model
@@ -121,13 +120,13 @@ def new_run(
         simulated_truth(file, model)
     inputs = {
         PLAN: json.dumps(plan.to_json(), indent=1).encode(),
-        PROCEDURE: read_regular(procedure_path),
+        PROCEDURE: procedure_path.read_bytes(),
         **_included(loaded),
         **bench_for_record(file, bench_file_path),
     }
     if model is not None:
         load_model(model, file.installation_models())
-        inputs[MODEL] = read_regular(model)
+        inputs[MODEL] = model.read_bytes()
     inputs |= effects_for_record()
     name = checked_name(name or _free_name(plan.name, runs))
     stated = file.unit_under_test
@@ -182,7 +181,7 @@ def refuse_missing_devices(run: Run) -> None:
 def _included(procedure: Procedure) -> dict[str, bytes]:
     """The files that a procedure includes, numbered, since two may have one name."""
     return {
-        f"include-{n}-{path.name}": read_regular(path) for n, path in enumerate(procedure.files[1:], start=1)
+        f"include-{n}-{path.name}": path.read_bytes() for n, path in enumerate(procedure.files[1:], start=1)
     }
 
 
