@@ -3,7 +3,8 @@
     python -m benchmarks.fuzz_campaign --inputs 20000 --seed 1 --jobs 2
 
 Readings, bench files, procedures, model files, results, records, names, SCPI to the simulated meters, answers
-at prompts, each made from the seed and its number (`fuzz_inputs`), tried in a worker process (`fuzz_trials`).
+at prompts, values at the edges, pipes for files, damaged catalogues, calls from Python, each made from the seed
+and its number (`fuzz_inputs`, `fuzz_edges`), tried in a worker process (`fuzz_trials`).
 Judged: no traceback, no message of a mistake that nobody foresaw, no character that acts on a terminal, one of
 the promised statuses, nothing taken that must be refused (no finite signal, a covariance that none is, a wrong
 unit, a key twice, a changed record, …), no hang: a worker that takes too long over an input is ended, and
@@ -42,8 +43,12 @@ SHARES: Final = {
     "names": 2,
     "scpi": 3,
     "answers": 3,
+    "edges": 5,
+    "special": 2,
+    "catalogue": 1,
+    "python": 3,
 }
-"""How many inputs of each kind there are, of 27; those that cost most are fewest."""
+"""How many inputs of each kind there are, of 38; those that cost most are fewest."""
 
 
 def inputs(count: int) -> list[tuple[str, int]]:

@@ -36,13 +36,18 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 
 @dataclass
 class Case:
-    """One input: files to be written, commands to be given with an input stream, and why it must be refused."""
+    """One input: files to be written, commands to be given with an input stream, and why it must be refused.
+
+    `doubt` is what must be said of it, `pipes` are names of pipes that nobody writes.
+    """
 
     commands: list[list[str]]
     files: dict[str, bytes] = field(default_factory=dict)
     stdin: bytes = b""
     refuse: str = ""
     record: bool = False
+    doubt: str = ""
+    pipes: tuple[str, ...] = ()
 
 
 # --- readings, models, results ------------------------------------------------------------------------

@@ -20,10 +20,14 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.visible import visible
+from benchmarks.fuzz_edges import MADE_AT_EDGES, python_trial
 from benchmarks.fuzz_inputs import MADE, ROOT, Case
 from benchmarks.fuzz_spoiling import WEIRD, spoilt_bytes, spoilt_tree, weird
 
-KINDS: Final = (*MADE, "scpi", "answers")
+MAKERS: Final = {**MADE, **MADE_AT_EDGES}
+KINDS: Final = (*MAKERS, "scpi", "answers", "python")
+LONGEST_LINE: Final = 6000
+"""Characters of a line on standard error: no value is quoted at its whole length."""
 
 _UNFORESEEN: Final = re.compile(
     r"^(bench: |note: )?unexpected|mistake of the program|Traceback \(most recent", re.MULTILINE
@@ -49,7 +53,8 @@ def tried(kind: str, seed: int, number: int) -> list[Violation]:
     """Make an input and try it, in the current folder, which must be empty."""
     rng = generator(kind, seed, number)
     try:
-        broken = {"scpi": _scpi, "answers": _answers}[kind](rng) if kind not in MADE else _commands(kind, rng)
+        others = {"scpi": _scpi, "answers": _answers, "python": python_trial}
+        broken = others[kind](rng) if kind in others else _commands(kind, rng)
     except Exception:
         broken = [("traceback", traceback.format_exc())]
     return [Violation(kind, number, what, how) for what, how in broken]
@@ -59,7 +64,9 @@ def tried(kind: str, seed: int, number: int) -> list[Violation]:
 
 
 def _commands(kind: str, rng: random.Random) -> list[tuple[str, str]]:
-    case = MADE[kind](rng)
+    case = MAKERS[kind](rng)
+    for name in case.pipes:
+        os.mkfifo(name)
     for name, content in case.files.items():
         Path(name).write_bytes(content)
     if case.record:
@@ -86,6 +93,10 @@ def judged(case: Case, status: object, out: str, err: str, number: int) -> Itera
         yield "status", f"{status!r} {err}"
     if status == 2 and not err.strip():
         yield "silent", out
+    if any(len(line) > LONGEST_LINE for line in err.splitlines()):
+        yield "endless", f"{max(map(len, err.splitlines()))} characters: {err[:200]}"
+    if case.doubt and case.doubt not in out + err:
+        yield "undoubted", f"not said: {case.doubt}\n{(out + err)[-500:]}"
     judges = command[0] not in {"show", "runs", "resume", "abort"} if case.record else number == 0
     if case.refuse and judges and status in {0, 1}:
         yield "accepted", f"{case.refuse}\n{(out + err)[-500:]}"

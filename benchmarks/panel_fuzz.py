@@ -2,7 +2,8 @@
 
 `python -m benchmarks.panel_fuzz --requests 10000 --seed 1` sends them to the application itself, past any server
 that would tidy them, and tells of each that was answered with 5xx, changed a file without the right to or showed
-what lies outside the folder of runs, and how memory grew. `--socket 500` sends raw bytes to a real server beside.
+what lies outside the folder of runs, how memory grew, and how long the slowest took. `--socket 500` sends raw bytes
+to a real server beside, which must log no traceback.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ import argparse
 import asyncio
 import gc
 import json
+import logging
 import math
 import shutil
+import socket
 import tempfile
+import time
 import tracemalloc
 from collections import Counter
 from dataclasses import dataclass, field
@@ -21,10 +25,12 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from bench.panel import connections
 from bench.panel.access.people import Role
 from bench.panel.access.store import Access
 from bench.panel.app import make_app
 from bench.panel.holding import JOURNAL
+from bench.panel.serving import config_of
 from bench.panel.settings import STATE, Settings
 from bench.run.answers import ANSWERS, asked_to_json, problem_with_answer
 from bench.run.control import CONTROL
@@ -50,18 +56,26 @@ QUESTION = Prompt(
     },
 )
 
+TOLD = 5
+"""So many of the slowest requests are told."""
+
 Tree = dict[str, tuple[int, int]]
 
 
 @dataclass
 class Outcome:
-    """What became of the requests: `wrong` are sentences, `statuses` counts, `grown` bytes from a quarter on."""
+    """What became of the requests: `wrong` are sentences, `statuses` counts, `grown` bytes from a quarter on.
+
+    `slowest` are the requests with the seconds that each took and the CPU time of it, the slowest first; those of
+    the first twentieth, which load the pages, do not count.
+    """
 
     requests: int = 0
     statuses: Counter[int] = field(default_factory=Counter)
     entitled: int = 0
     wrong: list[str] = field(default_factory=list)
     grown: int = 0
+    slowest: list[tuple[float, float, str]] = field(default_factory=list)
 
 
 class Place:
@@ -189,11 +203,15 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
                 quarter = tracemalloc.get_traced_memory()[0]
             request = requests.draw()
             started = popen.call_count
+            begun = time.perf_counter(), time.process_time()
             try:
                 status, body = await send(place.app, request)
             except Exception as error:
                 outcome.wrong.append(f"{request}: {type(error).__name__}: {error}")
                 continue
+            took = time.perf_counter() - begun[0], time.process_time() - begun[1]
+            if number >= count // 20:  # before that pages are loaded that were never asked for
+                outcome.slowest = sorted([*outcome.slowest, (*took, str(request))], reverse=True)[:TOLD]
             outcome.requests += 1
             outcome.statuses[status] += 1
             outcome.entitled += request.entitled
@@ -241,7 +259,6 @@ async def raw(port: int, count: int, seed: int) -> list[str]:
         writer.write(sent)
         try:
             await writer.drain()
-            writer.write_eof()
             reply = await asyncio.wait_for(reader.read(4096), 10)
         except (ConnectionError, TimeoutError) as error:
             reply = f"({type(error).__name__})".encode()
@@ -255,18 +272,23 @@ async def served(place: Place, count: int, seed: int) -> list[str]:
     """Send raw bytes to the panel behind the server that it comes with."""
     import uvicorn
 
-    server = uvicorn.Server(
-        uvicorn.Config(place.app, host="127.0.0.1", port=0, log_level="critical", ws="none")
-    )
-    serving = asyncio.create_task(server.serve())
+    logged: list[logging.LogRecord] = []
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(config_of(place.app))
+    serving = asyncio.create_task(server.serve(sockets=[listener]))
     while not server.started:
         await asyncio.sleep(0.05)
-    port = server.servers[0].sockets[0].getsockname()[1]
+    port = listener.getsockname()[1]
     try:
-        return await raw(port, count, seed)
+        with (
+            mock.patch.object(connections, "REQUEST_S", 0.2),
+            mock.patch.object(connections.LOG, "callHandlers", logged.append),
+        ):
+            wrong = await raw(port, count, seed)
     finally:
         server.should_exit = True
         await serving
+    return wrong + [f"logged: {one.getMessage()}" for one in logged if one.levelno > logging.WARNING]
 
 
 def main() -> None:
@@ -282,6 +304,8 @@ def main() -> None:
         wrong = outcome.wrong + asyncio.run(served(place, asked.socket, asked.seed))
     print(f"{outcome.requests} requests, {outcome.entitled} with the right to; {asked.socket} raw ones")
     print("statuses: " + ", ".join(f"{status}: {n}" for status, n in sorted(outcome.statuses.items())))
+    for seconds, cpu, request in outcome.slowest:
+        print(f"slowest: {1e3 * seconds:.0f} ms ({1e3 * cpu:.0f} ms of CPU) {request}")
     print(f"memory since a quarter of them: {outcome.grown / 1e6:+.2f} MB")
     for sentence in wrong[:20]:
         print(f"WRONG {sentence}")

@@ -195,7 +195,7 @@ class Requests:
                 "Content-Length: -1", "Content-Length: 99999999999", "Transfer-Encoding: chunked",
                 "Expect: 100-continue",
                 "X: " + "y" * 9000, "Upgrade: websocket", ": empty", "Cookie: \xff=\xff",
-                "Content-Length: 5", "no colon",
+                "Content-Length: 5", "no colon", "Transfer-Encoding: chunked\r\nContent-Length: 5",
             )))  # fmt: skip
         text = "\r\n".join(lines) + draw.choice(("\r\n\r\n", "\n\n", "\r\n", ""))
         return text.encode("utf-8", "replace") + draw.randbytes(draw.choice((0, 5, 200)))
@@ -261,6 +261,9 @@ class Requests:
                         b"NaN",
                     )
                 )
+            case 5:  # thousands of keys, one of them twice
+                many = {f"{key:06x}": "" for key in range(draw.choice((41, 4000)))}
+                whole = json.dumps(many)[:-1].encode() + draw.choice((b"}", b', "00002a": ""}'))
             case 4:
                 return tuple(b"x" * 16_384 for _ in range(2 * LARGEST_BODY // 16_384))
         cut = draw.randrange(len(whole) + 1)
@@ -272,6 +275,8 @@ class Requests:
             right = str(sum(map(len, body)))
             lies = ("-1", "9" * 30, "x", "0", "1e3", "\xb2")
             headers.append((b"content-length", right.encode() if draw.random() < 0.7 else self._bytes(lies)))
+        if draw.random() < 0.05:
+            headers.append((b"transfer-encoding", self._bytes(("chunked", "gzip, chunked", "x", "\xff"))))
         if draw.random() < 0.5:
             headers.append(
                 (b"accept", self._bytes(("application/json", "text/html", "text/event-stream", "\xff")))

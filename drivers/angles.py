@@ -14,7 +14,7 @@ ROUNDING_RAD: Final = 1e-10
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
 """For each place (degrees, minutes, seconds) its mark and what keyboards offer in its stead."""
 
-_PART: Final = re.compile(r"(?P<number>\d+(?P<decimals>\.\d+)?)(?P<mark>\s*[^\s\d.]*)\s*")
+_PART: Final = re.compile(r"(?P<number>[0-9]+(?P<decimals>\.[0-9]+)?)(?P<mark>\s*[^\s0-9.]*)\s*")
 
 
 class Slip(NamedTuple):
@@ -48,7 +48,7 @@ def parse_angle(text: str) -> float:
     """
     stripped = text.strip().replace("−", "-").replace("''", "″").replace("′′", "″")
     sign, body = (stripped[0], stripped[1:].lstrip()) if stripped[:1] in {"-", "+"} else ("+", stripped)
-    body = re.sub(r"(?<=\d),(?=\d)", ".", body)
+    body = re.sub(r"(?<=[0-9]),(?=[0-9])", ".", body)
     parts = _parts(body)
     if parts is None:
         raise ValueError(f"{text!r} is not an angle: type degrees, minutes, seconds such as {EXAMPLE}")
@@ -151,7 +151,7 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
 def _digits_swapped(read_rad: float, target_rad: float) -> bool:
     """Tell whether one part (degrees, minutes) has two neighbouring digits swapped and the other agrees."""
     read, target = (
-        re.findall(r"\d+", format_dms(angle)) for angle in (read_rad % math.tau, target_rad % math.tau)
+        re.findall(r"[0-9]+", format_dms(angle)) for angle in (read_rad % math.tau, target_rad % math.tau)
     )
     for place in (0, 1):
         rest_agrees = read[1 - place] == target[1 - place]

@@ -7,7 +7,7 @@ import re
 from typing import Final, Literal
 
 _ARCSEC: Final = math.pi / 648000.0
-_NUMBER: Final = r"([+-]?\d{1,4}(?:[.,]\d+)?)\s*"
+_NUMBER: Final = r"([+-]?[0-9]{1,4}(?:[.,][0-9]+)?)\s*"
 _TEMPERATURE: Final = re.compile(_NUMBER + r"°?\s*[cC]?")
 _DIVISIONS: Final = re.compile(_NUMBER + r"(arcsec|sec|\"|''|″)?")
 _SUPPLY: Final = re.compile(_NUMBER + r"(?:V|A)?", re.IGNORECASE)

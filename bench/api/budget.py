@@ -17,6 +17,7 @@ from bench.analysis.budget.sources import bench_sources
 from bench.analysis.calibration.estimators import GLS, in_a_budget
 from bench.analysis.calibration.mistakes import refuse_singular
 from bench.analysis.calibration.result import CalibrationError
+from bench.api.arguments import checked
 from bench.api.coefficients import read_coefficients
 from bench.api.errors import Refused
 from bench.api.learned import take_learned, with_effects
@@ -76,6 +77,7 @@ class BudgetResult:
         return as_html([headline(self.head, found)], *tables) + as_html([f"bench: {self.bench}", *notes])
 
 
+@checked()
 def budget(
     bench: str | Path | BenchFile | BenchTaken | None = None,
     procedure: str = "calibration",

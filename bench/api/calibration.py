@@ -17,6 +17,7 @@ from bench.analysis.calibration import Calibration, implausible
 from bench.analysis.calibration import calibrate as estimate
 from bench.analysis.calibration.estimators import GLS
 from bench.analysis.calibration.result import COVERAGE_FACTOR
+from bench.analysis.calibration.signal_units import refuse_mixed_units, sheet_of
 from bench.analysis.temperature.plateaus import separate_temperatures
 from bench.api.coefficients import Coefficients, block_result
 from bench.api.prior import PriorTaken, with_prior
@@ -250,6 +251,8 @@ def calibration_of(
     Raises `CalibrationError` where it cannot be, `Refused` for a prior that is not of this unit's type.
     """
     source = _with_note_on_temperatures(source)
+    sheet = sheet_of(source.readings.unit, source.bench.unit_under_test.scale_factors.values)
+    refuse_mixed_units(source.readings, source.model, sheet)
     found = estimate(
         source.readings,
         source.model,

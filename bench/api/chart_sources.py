@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.api.arguments import CHARTED, checked
 from bench.api.check_block import CheckBlockChart, chart_of, check_block_runs, is_check_block
 from bench.api.errors import Refused
 from bench.api.taken import find_bench_file, own_bench
@@ -42,6 +43,7 @@ def charted_runs(
     return ChartedRuns(named, section, path)
 
 
+@checked(runs=CHARTED)
 def chart(
     runs: str | Path | Sequence[str | Path] | None = None, *, bench: str | Path | None = None
 ) -> CheckBlockChart:

@@ -25,6 +25,7 @@ from bench.api.check_values import CheckValues, check_values
 from bench.api.coefficients import coefficients_of
 from bench.api.errors import Refused
 from bench.base.forms import load_document, part
+from bench.base.regular import read_regular
 from bench.base.whole import from_text
 from bench.files.bench.check_block import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
 from bench.files.bench.file import BenchFile
@@ -231,7 +232,7 @@ def _named(
 
 def _reference(path: Path, g_m_s2: float) -> Reference:
     try:
-        data = from_text(path.read_text(encoding="utf-8"))
+        data = from_text(read_regular(path).decode())
     except (OSError, ValueError) as error:
         raise Refused(
             f"check_block: reference: {path}: no result of 'bench calibrate --json' ({error})"

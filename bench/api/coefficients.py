@@ -12,8 +12,8 @@ import numpy as np
 
 from bench.api.errors import Refused
 from bench.base.arrays import CHANNELS, Floats
-from bench.base.form_mistakes import shortened
 from bench.base.regular import read_given
+from bench.base.visible import shortened
 from bench.base.whole import from_text
 from bench.exchange.result import BlockResult
 from bench.model.block import COEFFICIENTS, Block

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-_OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[\d.-]))?")
+_OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
 
 
 class Refused(Exception):

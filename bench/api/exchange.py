@@ -12,7 +12,10 @@ from bench.api.coefficients import block_result
 from bench.api.errors import Refused
 from bench.api.source import Request, Source, load_sources
 from bench.base.arrays import Floats
+from bench.base.numbers import read_number
+from bench.base.regular import read_regular
 from bench.base.whole import from_text, write_whole
+from bench.base.words import repeated
 from bench.exchange.forms import FORMS
 from bench.exchange.result import BlockResult
 from bench.run.manifest import MANIFEST
@@ -52,9 +55,8 @@ def results_of(request: Request) -> list[Given]:
             (source,) = load_sources(replace(request, sources=[name]))
             found.append(Given(calibration_of(source).derived, Path(), source))
     files = [given.file("") for given in found]
-    for file in files:
-        if files.count(file) > 1:
-            raise Refused(f"--out: two sources would write {file}*; give each a folder of its own")
+    for file in repeated(map(str, files)):
+        raise Refused(f"--out: two sources would write {file}*; give each a folder of its own")
     return found
 
 
@@ -64,7 +66,7 @@ def _is_result(path: Path) -> bool:
 
 def _read(path: Path, out: Path | None) -> list[Given]:
     try:
-        data = from_text(path.read_text(encoding="utf-8"))
+        data = from_text(read_regular(path).decode())
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:
@@ -99,7 +101,7 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
     if text is None:
         return None
     try:
-        values = np.array([float(part) for part in text.split(",")])
+        values = np.array([read_number(part) for part in text.split(",")])
     except ValueError:
         values = np.zeros(0)
     if values.shape != (3,) or not np.all(np.isfinite(values) & (values != 0)):

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from bench.analysis.calibration.estimators import GLS
+from bench.api.arguments import DIAGNOSED, checked
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.confirmation import ConfirmationResult, confirmation_of
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
@@ -49,11 +50,13 @@ if TYPE_CHECKING:
     """Files with effects of the user's own, as formulas."""
 
 
+@checked()
 def load_bench(bench: str | Path) -> BenchFile:
     """Read a bench file, by path or shipped name; numbers in SI, angles in rad. Raises `FileMistakes`."""
     return find_bench_file(str(bench)).file
 
 
+@checked()
 def read_readings(
     readings: str | Path | pd.DataFrame, *, bench: Bench = None, skip_bad_rows: bool = False
 ) -> Readings:
@@ -72,6 +75,7 @@ def read_readings(
     )
 
 
+@checked()
 def calibrate(
     source: Data,
     *,
@@ -107,6 +111,7 @@ def calibrate(
         )
 
 
+@checked()
 def verify(
     source: Data,
     *,
@@ -138,6 +143,7 @@ def verify(
         return verification_of(loaded, taken, asked)
 
 
+@checked(source=DIAGNOSED)
 def diagnose(
     source: Data | Sequence[Data],
     *,
@@ -164,6 +170,7 @@ def diagnose(
         return DiagnosisResult(body.source, diagnosis_of(body.source, body.nominal))
 
 
+@checked()
 def confirm(
     source: Data,
     *,
@@ -181,6 +188,7 @@ def confirm(
     return confirmation_of(loaded)
 
 
+@checked()
 def learn(
     sources: Sequence[Data],
     *,
@@ -235,6 +243,7 @@ class DryRun:
         return "\n".join(lines)
 
 
+@checked()
 def dry_run(
     procedure: str | Path,
     bench: str | Path | None = None,

@@ -138,7 +138,7 @@ def origin_of_run(run: Run) -> Told:
             bench=BenchOrigin(
                 file=_shown(manifest.get("bench")),
                 copied_to=_shown(copied_to),
-                sha256=sha256(copied_to.read_bytes()),
+                sha256=sha256(read_regular(copied_to)),
             ),
             instruments={name: _shown(identity) for name, identity in run.history.identities.items()},
             serials={name: _shown(serial) for name, serial in run.history.serials.items()},
@@ -157,7 +157,7 @@ def origin_beside(readings: Path) -> Told:
         about = _About.model_validate_json(content)
     except ValidationError:
         return Told() if b'"sha256"' not in content else Told(notes=(f"{file.name} {_UNREADABLE}",))
-    if about.sha256 != sha256(readings.read_bytes()):
+    if about.sha256 != sha256(read_regular(readings)):
         return Told(notes=(_mismatch(readings.name, file.name, about),))
     mended = "; ".join(about.mended)
     return Told(about, (f"a copy of {about.run} with mistakes put right: {mended}",) if mended else ())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bench.api.errors import Refused
+from bench.base.numbers import read_number
 from bench.base.units import QuantityKind, parse_quantity
 
 
@@ -13,7 +14,7 @@ def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) 
     """
     if plain:
         try:
-            return float(text)
+            return read_number(text)
         except ValueError:
             pass
     try:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.base.regular import read_regular
 from bench.readings.supplied import columns_of, ranges_in_words
 from bench.run.digest import Digest, Digests
 from bench.run.folder import VERIFY, Run, all_runs
@@ -62,7 +63,7 @@ def _verdict(run: Run) -> str | None:
     Results of versions before have no statement: they passed or failed.
     """
     try:
-        found = json.loads((run.folder / f"{VERIFY}.json").read_text(encoding="utf-8"))
+        found = json.loads(read_regular(run.folder / f"{VERIFY}.json").decode())
         statement = str(found.get("statement") or ("pass" if found["passed"] else "fail"))
         return {"pass": "passed", "fail": "failed"}.get(statement, statement)
     except (OSError, ValueError, TypeError, KeyError, AttributeError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from bench.api.meters import voltmeter_names
 from bench.api.origin import Origin, Told, origin_beside, origin_of_run
 from bench.api.taken import BenchTaken, bench_of, recorded_sha256
 from bench.api.traceability import Traced, trace
+from bench.base.words import repeated
 from bench.files.bench.file import BenchFile
 from bench.files.model import ModelFile, load_model
 from bench.model import CATALOGUE, Effect, ForwardModel
@@ -23,7 +25,7 @@ from bench.readings.corrected import VOLTS, corrected
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
 from bench.run.folder import IMPORTED, Run, find_run
-from bench.run.manifest import MANIFEST, sha256
+from bench.run.manifest import MANIFEST, RecordError, sha256
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -159,11 +161,13 @@ def check_places(request: Request) -> None:
     """Refuse sources of which one would write over what another wrote. Raises `Refused`."""
     if request.out is not None and request.out.exists() and not request.out.is_dir():
         raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
-    names = [given for given in request.sources if isinstance(given, str)]
-    places = [_output(name, _run_of(name, request.runs), request.out, "", "") for name in names]
-    for place in places:
-        if places.count(place) > 1:
-            raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
+    places = []
+    for name in request.sources:
+        if isinstance(name, str):
+            with suppress(Refused, RecordError, OSError):  # one that is not there writes nothing
+                places.append(_output(name, _run_of(name, request.runs), request.out, "", ""))
+    for place in repeated(map(str, places)):
+        raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
 
 
 def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:

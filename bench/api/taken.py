@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from bench.api.origin import SUFFIX, Told
+from bench.base.regular import read_regular
 from bench.files.bench.file import BenchFile, load_bench, load_recorded_bench
 from bench.files.bench.learned import LearnedFile, load_learned
 from bench.files.shipped import find_bench
@@ -81,21 +82,21 @@ def find_bench_file(given: str | BenchFile | BenchTaken | None) -> BenchTaken:
     if isinstance(given, BenchFile):
         return BenchTaken(given, given.name, sha256_of(given.model_dump_json().encode()), "as given")
     path = bench_path(given)
-    return BenchTaken(load_bench(path), str(path), sha256_of(path.read_bytes()), why_taken(given))
+    return BenchTaken(load_bench(path), str(path), sha256_of(read_regular(path)), why_taken(given))
 
 
 def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
     """Return what a run keeps of a bench file: it, and what it names as learned. Raises `FileMistakes`."""
     taken = BenchTaken(file, str(path), "", "")
-    kept = {BENCH: path.read_bytes()}
+    kept = {BENCH: read_regular(path)}
     if taken.learned() is not None and taken.learned_path is not None:
-        kept[LEARNED] = taken.learned_path.read_bytes()
+        kept[LEARNED] = read_regular(taken.learned_path)
     return kept
 
 
 def recorded_sha256(run: Run) -> str:
     """Return the SHA-256 of the bench file that a run recorded."""
-    return sha256_of((run.folder / BENCH).read_bytes())
+    return sha256_of(read_regular(run.folder / BENCH))
 
 
 def bench_of(

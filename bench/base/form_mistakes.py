@@ -10,14 +10,13 @@ from typing import Annotated, Any, Final, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from bench.base.visible import QUOTED, shortened
+
 Place = tuple[str | int, ...]
 """Where in a file: keys and positions in lists (from 0), such as ("steps", 0, "turn")."""
 
 MOST_TOLD: Final = 200
 """Mistakes of one file that are told; mending those shows the rest."""
-
-_QUOTED: Final = 80
-"""Characters of a text from a file that a sentence quotes."""
 
 _EXPECTED: Final = {
     "int_parsing": "a whole number",
@@ -84,7 +83,7 @@ def unknown_word(word: str, known: list[str], what: str) -> str:
 
 
 def _nearest(word: str, known: Iterable[str]) -> str | None:
-    if len(word) > _QUOTED:
+    if len(word) > QUOTED:
         return None
     near = difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.5)
     return near[0] if near else None
@@ -109,11 +108,6 @@ def _got(value: object) -> str:
             return "nothing"
         case _:
             return f"'{shortened(str(value))}'"
-
-
-def shortened(text: str) -> str:
-    """Return a text as a sentence quotes it."""
-    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}…"
 
 
 def _wrong_word(detail: ErrorDetails) -> str:

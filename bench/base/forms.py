@@ -105,7 +105,7 @@ def dotted(place: Place) -> str:
 
 def sha256_of_file(path: Path) -> str:
     """Return the SHA-256 of the file's bytes, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_regular(path)).hexdigest()
 
 
 # --- reading ----------------------------------------------------------------------------------------

@@ -53,6 +53,16 @@ def scale_for(largest: float, unit: str) -> Scale:
     return Scale(prefix + printed, size)
 
 
+def read_number(text: str) -> float:
+    """Return the number in a text: digits 0 to 9, a dot, an exponent; of nan and inf what they are.
+
+    Raises `ValueError` for what only Python takes for one: digits of other alphabets, `1_000`.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError("no number")
+    return float(text)
+
+
 def finite_or_none(value: float) -> float | None:
     """Return a number as JSON has it: null where it is not finite."""
     return float(value) if math.isfinite(value) else None

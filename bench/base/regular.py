@@ -9,7 +9,7 @@ import errno
 import os
 import stat
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final, Literal
 
 MEGABYTE: Final = 1_000_000
 
@@ -24,20 +24,37 @@ _CHUNK: Final = 65_536
 _AT_ONCE: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
-def read_regular(path: Path, most_bytes: int) -> bytes:
+def _at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+
+
+def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
+    """Open a regular file to read it, or to append to it unbuffered; nothing else is opened or waited for.
+
+    Raises `OSError` whose `strerror` says why not: what it is instead.
+    """
+    try:
+        if mode == "rb" or path.exists():
+            _check(path, path.stat().st_mode)  # before it is opened: opening a device may do something
+        file = open(path, mode, buffering=0 if mode == "ab" else -1, opener=_at_once)  # noqa: SIM115
+    except ValueError:  # a character that no name of a file can have
+        raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
+    try:
+        _check(path, os.fstat(file.fileno()).st_mode)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
     """Return the content of a regular file; nothing else is opened, and nothing is waited for.
 
     Raises `OSError` whose `strerror` says why not: what it is instead, or that it is too large.
     """
-    try:
-        _check(path, path.stat().st_mode)  # before it is opened: opening a device may do something
-        descriptor = os.open(path, _AT_ONCE)
-    except ValueError:  # a character that no name of a file can have
-        raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
-    with os.fdopen(descriptor, "rb") as file:
-        _check(path, os.fstat(descriptor).st_mode)
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
+    with open_regular(path) as file:
+        content = file.read() if most_bytes is None else file.read(most_bytes + 1)
+    if most_bytes is not None and len(content) > most_bytes:
         size = f"{most_bytes / MEGABYTE:g} MB"
         raise OSError(errno.EFBIG, f"it has more than {size}", str(path))
     return content

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import BeforeValidator
 
+from bench.base.visible import shortened
+
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
@@ -49,8 +51,10 @@ _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "r
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
                  "percent")  # fmt: skip
 
-_QUANTITY: Final = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*?)\s*")
-_UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?\d)?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?\d)?)*")
+_QUANTITY: Final = re.compile(
+    r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>.*?)\s*"
+)
+_UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?[0-9])?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?[0-9])?)*")
 _SPELLINGS: Final = (
     ("°C", "degC"), ("℃", "degC"), ("°", "deg"), ("″", "arcsec"), ("′", "arcmin"), ("%", "percent"),
     ("µ", "u"), ("μ", "u"), ("²", "^2"), ("³", "^3"), ("·", "*"), ("**", "^"),
@@ -134,16 +138,16 @@ def _parsed(text: str, kind: QuantityKind) -> float:
     """Return the value of a text; a long procedure has the same few again and again."""
     match = _QUANTITY.fullmatch(text.replace("−", "-"))
     if match is None:
-        raise ValueError(f"{kind.expected}, got '{text}'")
+        raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
     unit = plain_unit(match["unit"])
     if not unit and kind.si:
-        raise ValueError(f"{kind.expected}, got '{text}' without a unit")
+        raise ValueError(f"{kind.expected}, got '{shortened(text)}' without a unit")
     factor = _factor_of(unit, kind, text)
     if factor is None or (kind.only and unit not in kind.only):
-        raise ValueError(f"{kind.expected}, got '{text}'")
+        raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
     value = float(match["number"]) * factor
     if not math.isfinite(value):
-        raise ValueError(f"{kind.expected}, got '{text}', which is too large")
+        raise ValueError(f"{kind.expected}, got '{shortened(text)}', which is too large")
     return value
 
 
@@ -155,7 +159,7 @@ def _factor_of(unit: str, kind: QuantityKind, text: str) -> float | None:
     try:
         return _factor(unit, kind.si)
     except ValueError as error:
-        raise ValueError(f"{kind.expected}, got '{text}' ({error})") from None
+        raise ValueError(f"{kind.expected}, got '{shortened(text)}' ({error})") from None
 
 
 Dimension = tuple[tuple[str, float], ...]
@@ -207,7 +211,7 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
     def read(value: object) -> float:
         number = parse_quantity(value, kind)
         if number < 0.0:
-            raise ValueError(f"{kind.expected}, not negative, got '{value}'")
+            raise ValueError(f"{kind.expected}, not negative, got '{shortened(str(value))}'")
         return number
 
     return BeforeValidator(read)

@@ -5,6 +5,13 @@ from __future__ import annotations
 import re
 from typing import Final
 
+QUOTED: Final = 80
+"""Characters of a text from outside that a sentence quotes."""
+
+_ENDLESS: Final = re.compile(r"\S{1000,}")
+_LINE: Final = 5000
+"""Longer than the longest path, which is 4096 bytes."""
+
 _ACTS: Final = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f"  # C0 and C1, escape among them
     "\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f"  # what turns the direction of writing, or is not seen
@@ -20,6 +27,17 @@ def visible(text: str) -> str:
     Ends of lines and tabs stay. What is visible already comes back as it is.
     """
     return _ACTS.sub(_escape, text)
+
+
+def shortened(text: str) -> str:
+    """Return a text as a sentence quotes it."""
+    return text if len(text) <= QUOTED else f"{text[:QUOTED]}…"
+
+
+def bounded(text: str) -> str:
+    """Return a message whose words and lines a person can read: what is longer by far is cut."""
+    text = _ENDLESS.sub(lambda word: shortened(word[0]), text)
+    return "\n".join(line if len(line) <= _LINE else f"{line[:_LINE]}…" for line in text.split("\n"))
 
 
 def _escape(found: re.Match[str]) -> str:

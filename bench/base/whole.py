@@ -7,9 +7,10 @@ import json
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from bench.base.visible import in_json, visible
+from bench.base.visible import in_json, shortened, visible
+from bench.base.words import repeated
 
 
 def to_text(result: Any) -> str:
@@ -36,9 +37,8 @@ def _no_number(word: str) -> Any:
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     whole = dict(pairs)
     if len(whole) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"'{twice}' stands twice")
+        twice = repeated(name for name, _ in pairs)[0]
+        raise ValueError(f"'{shortened(twice)}' stands twice")
     return whole
 
 
@@ -54,11 +54,24 @@ def write_whole(path: Path, text: str | bytes) -> None:
         raise OSError(errno.EINVAL, "no name that a file can have", visible(str(path))) from None
     try:
         if path.exists() and not path.is_file():
-            path.write_bytes(content)
+            with _opened_at_once(path) as special:
+                special.write(content)
         else:
             _put_in_place(Path(os.path.realpath(path)), content)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def _opened_at_once(path: Path) -> BinaryIO:
+    """Open what is no file to write into it; a pipe that nobody reads is not waited for."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+    except OSError as error:
+        if error.errno == errno.ENXIO:
+            raise OSError(errno.ENXIO, "this is a pipe that nobody reads") from None
+        raise
+    os.set_blocking(descriptor, True)
+    return os.fdopen(descriptor, "wb")
 
 
 def _put_in_place(path: Path, content: bytes) -> None:

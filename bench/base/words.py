@@ -1,9 +1,13 @@
-"""Words for durations, angles and directions, once: in sentences, in lists, in files that a program writes."""
+"""Words for durations, angles and directions, once: in sentences, in lists, in files that a program writes.
+
+And words that stand twice.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from bench.base.arrays import HOUR, MINUTE
@@ -12,6 +16,11 @@ APPROACH: Final[Mapping[int, str]] = {1: "rising", -1: "falling"}
 """From which side an angle or a temperature was reached: +1 from below, -1 from above."""
 
 _SECONDS: Final = ((HOUR, "h"), (MINUTE, "min"), (1.0, "s"))
+
+
+def repeated(words: Iterable[str]) -> list[str]:
+    """Return the words that stand more than once, in the order of their first place."""
+    return [word for word, times in Counter(words).items() if times > 1]
 
 
 def duration(seconds: float) -> str:

@@ -17,6 +17,7 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.api.errors import Refused
+from bench.base.regular import read_regular
 from bench.base.whole import from_text, to_text
 from bench.batch.columns import COLUMNS, Row, arrow_schema
 from bench.batch.job import Job, program
@@ -118,7 +119,7 @@ class Store:
         """Return what the batch was asked. Raises `Refused` where that cannot be read."""
         file = self.folder / BATCH
         try:
-            noted: dict[str, Any] = from_text(file.read_bytes())
+            noted: dict[str, Any] = from_text(read_regular(file))
             if noted["format"] != FORMAT or noted["command"] not in COLUMNS:
                 raise ValueError(f"format {noted['format']}")
         except FileNotFoundError:

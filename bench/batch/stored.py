@@ -14,6 +14,7 @@ from bench.api.calibration import CalibrationResult
 from bench.api.verification import VerificationResult
 from bench.base.arrays import Floats
 from bench.base.json_text import read_json
+from bench.base.regular import read_regular
 from bench.model.block import COEFFICIENTS
 
 CALIBRATE_FILE: Final = "calibrate.json"
@@ -169,7 +170,7 @@ def stored_diagnosis(folder: Path) -> Stored:
 
 def _read(file: Path, understood: Any, notes: list[str]) -> Any:
     try:
-        told = read_json(file.read_bytes())
+        told = read_json(read_regular(file))
         return understood(told[0] if isinstance(told, list) and len(told) == 1 else told)
     except FileNotFoundError:
         return None

@@ -15,6 +15,7 @@ from bench.api.errors import Refused
 from bench.base.arrays import Floats
 from bench.base.forms import FileMistakes
 from bench.base.json_text import read_json
+from bench.base.regular import read_regular
 from bench.base.visible import visible
 from bench.catalogue.instruments import Row, instruments_of, text_of
 from bench.catalogue.record import RecordSeen, utc_of
@@ -62,7 +63,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
     manifest = read_manifest(folder)
     if "files" not in manifest or "created" not in manifest:
         raise RecordError(f"{MANIFEST} is of another program: it has no files or no created")
-    digest = sha256((folder / MANIFEST).read_bytes())
+    digest = sha256(read_regular(folder / MANIFEST))
     run = key_of("run", digest)
     record = RecordSeen(folder, manifest, digest)
     if whole:
@@ -121,7 +122,7 @@ def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
     rows: dict[str, Any] = {"problem": ""}
     for name, read in ((CALIBRATE, _calibration), (f"{VERIFY}.json", _verification), (DIAGNOSE, _diagnosis)):
         try:
-            content = (folder / name).read_bytes()
+            content = read_regular(folder / name)
         except FileNotFoundError:
             continue
         except OSError as error:
@@ -205,7 +206,7 @@ def _bench_of(folder: Path) -> tuple[BenchFile | None, str | None]:
     """Return the bench file that a run recorded, None where it cannot be read, and its SHA-256."""
     file = folder / BENCH
     try:
-        digest = sha256(file.read_bytes())
+        digest = sha256(read_regular(file))
     except OSError:
         return None, None
     return _loaded(digest, str(file)), digest

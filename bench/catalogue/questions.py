@@ -19,6 +19,7 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Table, and_, exists, func, not_, or_, select, true
 
 from bench.api.errors import Refused
+from bench.base.numbers import read_number
 from bench.catalogue.schema import (
     CALIBRATIONS,
     CERTIFICATES,
@@ -135,7 +136,7 @@ def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
 
     def build(operator: str, value: str) -> Condition:
         try:
-            size = float(value)
+            size = read_number(value)
         except ValueError:
             size = math.nan
         if not math.isfinite(size):

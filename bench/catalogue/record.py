@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.json_text import read_json
+from bench.base.regular import read_regular
 from bench.run.folder import Run
 from bench.run.manifest import EVENTS, MANIFEST, Manifest, sha256
 from bench.run.states import RunState, state_after_one
@@ -44,7 +45,7 @@ class RecordSeen:
         self._last = b""
         self._check_inputs(manifest)
         try:
-            content = (folder / EVENTS).read_bytes()
+            content = read_regular(folder / EVENTS)
         except FileNotFoundError:
             content = b""
         self._go_through(content)
@@ -55,7 +56,7 @@ class RecordSeen:
                 self.problem = f"{MANIFEST} names an input outside of the folder"
                 return
             file = self.folder / name
-            if not file.is_file() or sha256(file.read_bytes()) != digest:
+            if not file.is_file() or sha256(read_regular(file)) != digest:
                 self.problem = f"{name} was changed since the run began"
 
     def _go_through(self, content: bytes) -> None:

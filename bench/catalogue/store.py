@@ -231,13 +231,12 @@ def _told(where: str) -> Iterator[None]:
 
     try:
         yield
-    except OperationalError as error:
-        why = " ".join(str(error.orig).split())
-        raise Refused(
-            f"{where}: the catalogue cannot be used ({why}); check its place and the server"
-        ) from error
-    except DBAPIError as error:
-        why = " ".join(str(error.orig).split())
+    except (DBAPIError, UnicodeDecodeError) as error:
+        why = " ".join(str(getattr(error, "orig", "a text of it is none")).split())
+        if isinstance(error, OperationalError) and not why.startswith("no such "):
+            raise Refused(
+                f"{where}: the catalogue cannot be used ({why}); check its place and the server"
+            ) from error
         raise Refused(
             f"{where}: not a catalogue, or a damaged one ({why}); delete it and make it again with: bench "
             "catalogue sync DIR"

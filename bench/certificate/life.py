@@ -15,6 +15,7 @@ from bench.api.errors import Refused
 from bench.api.explained import sentence
 from bench.base.forms import Document, load_document, validated
 from bench.base.json_text import read_json
+from bench.base.regular import read_regular
 from bench.base.whole import write_whole
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
@@ -234,7 +235,7 @@ def _write(
             "laboratory": register.keep(desk.laboratory_file.text.encode()),
             "order": register.keep(desk.order_file.text.encode()),
             "seal": register.keep(found.record.seal.encode()),
-            "logo": None if logo is None else register.keep(logo.read_bytes()),
+            "logo": None if logo is None else register.keep(read_regular(logo)),
         },
     }
     entry = Entry(ISSUED, number, issue.issued, person.name, data)

@@ -20,6 +20,7 @@ from filelock import FileLock, Timeout
 
 from bench.api.errors import Refused
 from bench.base.json_text import read_json
+from bench.base.regular import open_regular, read_regular
 from bench.base.whole import write_whole
 
 LINES: Final = "register.jsonl"
@@ -95,7 +96,7 @@ class Register:
         if stated is None:
             raise Refused(f"{self.folder}: no file {name} was issued")
         try:
-            content = (self.folder / name).read_bytes()
+            content = read_regular(self.folder / name)
         except OSError as error:
             raise Refused(f"{self.folder / name}: cannot be read ({error.strerror})") from error
         if hashlib.sha256(content).hexdigest() != stated:
@@ -114,7 +115,7 @@ class Register:
     def kept(self, digest: str) -> bytes:
         """Return what a certificate was made from. Raises `Refused` where it is not there as it was."""
         try:
-            content = (self.folder / MADE_FROM / digest).read_bytes()
+            content = read_regular(self.folder / MADE_FROM / digest)
         except OSError as error:
             raise Refused(f"{self.folder / MADE_FROM / digest}: cannot be read ({error.strerror})") from error
         if hashlib.sha256(content).hexdigest() != digest:
@@ -164,7 +165,7 @@ class Register:
         if (path.stat().st_size if path.exists() else 0) < self.length:
             raise Refused(f"{path}: lines were taken off its end; take it from a copy")
         if path.exists():
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 file.seek(self.length)
                 for line in file:
                     if line.endswith(b"\n"):
@@ -218,7 +219,7 @@ class Register:
         stated = None if standing is None else standing.entry.files.get(name)
         if stated is None:
             part.unlink()
-        elif not (self.folder / name).exists() and hashlib.sha256(part.read_bytes()).hexdigest() == stated:
+        elif not (self.folder / name).exists() and hashlib.sha256(read_regular(part)).hexdigest() == stated:
             part.replace(self.folder / name)
             _sync_folder(self.folder)
 

@@ -11,7 +11,7 @@ import typer
 
 from bench.api.errors import Refused
 from bench.base import progress
-from bench.base.visible import visible
+from bench.base.visible import bounded, visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 
@@ -93,5 +93,5 @@ def explain(error: Exception, command: str = "bench") -> str:
 
 
 def _fail(text: str) -> int:
-    print(f"bench: {visible(text)}", file=sys.stderr)
+    print(f"bench: {visible(bounded(text))}", file=sys.stderr)
     return NOT_DONE

@@ -56,22 +56,24 @@ def calibrate(
     """Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit."""
     from bench.analysis.calibration.estimators import GLS, find_estimator
     from bench.api.calibration import calibration_of
-    from bench.api.source import Request, load_sources
+    from bench.api.each import done, each, load_each
+    from bench.api.source import Request
 
     printing.check_target(json)
-    loaded = load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows))
-    printing.bench_files(loaded, json)
-    results = [
-        calibration_of(
+    loaded = load_each(Request(sources, runs, bench, model, g, out, skip_bad_rows))
+    printing.bench_files(done(loaded), json)
+    everyone = each(
+        loaded,
+        lambda source: calibration_of(
             source,
             estimator,
             nominal_angles=nominal_angles,
             join_free=join_free,
             join_verification=join_verification,
             prior=prior,
-        )
-        for source in loaded
-    ]
+        ),
+    )
+    results = done(everyone)
     other = find_estimator(estimator).name != GLS or nominal_angles or not join_free or join_verification
     other = other or prior is not None
     for result in results:
@@ -81,6 +83,8 @@ def calibrate(
             printing.notes_aside(result.notes)
         else:
             printing.calibration(result, file)
-    printing.write_json([result.to_dict() for result in results], json)
+    printing.write_json([one.to_dict() for one in everyone], json)
+    if printing.failed(everyone):
+        return 2
     accepted = [result.strictly_accepted if strict else result.accepted for result in results]
     return 0 if all(accepted) else 1

@@ -108,7 +108,7 @@ def compensate(
 def _degree(text: str) -> int | None:
     if text == "auto":
         return None
-    if text.isdecimal() and 1 <= int(text) <= 6:
+    if text.isascii() and text.isdecimal() and 1 <= int(text) <= 6:
         return int(text)
     raise Refused(f"--degree {text}: expected 'auto', or a whole number from 1 to 6")
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
     from bench.analysis.mistakes.search import Mistake
     from bench.api.diagnosis import Body
+    from bench.api.each import Failed
     from bench.api.source import Request, Source
     from bench.readings.table import Readings
 
@@ -77,18 +78,21 @@ def diagnose(
     """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
     one_thread()
     from bench.analysis.diagnosis.full import TooLittleLeft
+    from bench.api.each import done, load_each
     from bench.api.free_diagnosis import free_sources
     from bench.api.source import Request, load_sources
     from bench.cli.free import diagnosed_free
 
     printing.check_target(json)
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
-    loaded = load_sources(request)
-    if free_sources(loaded):
+    loaded: list[Source | Failed] = [*load_sources(request)] if together else load_each(request)
+    if done(loaded) and free_sources(done(loaded)):
         free = diagnosed_free(
             loaded, json, together=together, one_block=one_block, accept_first=accept_first, report=report
         )
-        return 1 if strict and any(one.verdict != "agrees" for one in free) else 0
+        if printing.failed(free):
+            return 2
+        return 1 if strict and any(one.verdict != "agrees" for one in done(free)) else 0
     try:
         results = diagnosed(
             request,
@@ -102,9 +106,11 @@ def diagnose(
     except TooLittleLeft as found:
         if len(sources) > 1:
             raise
-        told(found, loaded[0], json)
+        told(found, done(loaded)[0], json)
         return 1 if strict else 0
-    return 1 if strict and any(one.diagnosis.verdict != "agrees" for one in results) else 0
+    if printing.failed(results):
+        return 2
+    return 1 if strict and any(one.diagnosis.verdict != "agrees" for one in done(results)) else 0
 
 
 def told(found: TooLittleLeft, source: Source, target: str | None) -> None:
@@ -120,18 +126,19 @@ def told(found: TooLittleLeft, source: Source, target: str | None) -> None:
 def diagnosed(
     request: Request,
     target: str | None,
-    loaded: list[Source] | None = None,
+    loaded: list[Source | Failed] | None = None,
     *,
     together: bool = False,
     one_block: bool | None = None,
     accept_first: bool = False,
     report: bool | None = None,
-) -> list[FullDiagnosis]:
+) -> list[FullDiagnosis | Failed]:
     """Diagnose the sources, each by itself or all `together`; print, write JSON to `target`, and return it.
 
     `loaded` are the sources where they have been read already.
     """
     from bench.api.diagnosis import body_of
+    from bench.api.each import Failed, done
     from bench.api.own_effects import knowing_effects_of
     from bench.api.source import check_places, load_sources
 
@@ -139,18 +146,23 @@ def diagnosed(
     check_places(request)
     alone = together or len(request.sources) == 1
     out = printing.console(json=target)
-    loaded = load_sources(request) if loaded is None else loaded
-    printing.bench_files(loaded, target)
-    with knowing_effects_of(*loaded):
+    loaded = [*load_sources(request)] if loaded is None else loaded
+    good = done(loaded)
+    printing.bench_files(good, target)
+    results: list[FullDiagnosis | Failed]
+    with knowing_effects_of(*good):
         if alone:
-            body = body_of(loaded, one_block=one_block)
+            body = body_of(good, one_block=one_block)
             with progress.shown():
                 results = [examined(body, accept_first=accept_first, report=report is not False)]
         else:
             with progress.shown():
-                results = list(_side_by_side(request, accept_first=accept_first, report=report is True))
+                names = replace(request, sources=[source.name for source in good])
+                found = list(_side_by_side(names, accept_first=accept_first, report=report is True))
+            rest = iter(found)
+            results = [one if isinstance(one, Failed) else next(rest) for one in loaded]
         printing.write_json([one.to_dict() for one in results], target)
-        _print(results, out, alone=alone)
+        _print(done(results), out, alone=alone)
     return results
 
 
@@ -159,17 +171,17 @@ def _print(results: list[FullDiagnosis], out: Console, *, alone: bool) -> None:
 
     if alone:
         print_one(results[0], out)
-    else:
+    elif results:
         print_several(results, out)
 
 
-def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iterator[FullDiagnosis]:
+def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iterator[FullDiagnosis | Failed]:
     """Diagnose each source in a process of its own kind, in the order given."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
     work = partial(_one_of_several, request, accept_first=accept_first, report=report)
-    workers = min(len(request.sources), os.cpu_count() or 1)
+    workers = max(1, min(len(request.sources), os.cpu_count() or 1))
     # a fresh interpreter in every worker: a copy of this one would share its threads and locks
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=fresh) as pool:
@@ -180,15 +192,21 @@ def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iter
             raise
 
 
-def _one_of_several(request: Request, name: str, *, accept_first: bool, report: bool) -> FullDiagnosis:
+def _one_of_several(
+    request: Request, name: str, *, accept_first: bool, report: bool
+) -> FullDiagnosis | Failed:
     from bench.api.diagnosis import body_of
+    from bench.api.each import attempted
     from bench.api.source import load_sources
     from bench.files.formulas import effects_in, files_of_environment
     from bench.model import CATALOGUE
 
-    with CATALOGUE.also(effects_in(files_of_environment())):
+    def work() -> FullDiagnosis:
         body = body_of(load_sources(replace(request, sources=[name])))
         return examined(body, accept_first=accept_first, report=report)
+
+    with CATALOGUE.also(effects_in(files_of_environment())):
+        return attempted(name, work)
 
 
 # --- one body of readings ---------------------------------------------------------------------------

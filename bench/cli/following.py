@@ -10,6 +10,7 @@ from rich.console import Console
 
 from bench.analysis.diagnosis.full import FullDiagnosis
 from bench.analysis.diagnosis.next_measurement import Proposal
+from bench.api.each import done
 from bench.api.source import Request
 from bench.cli import printing
 from bench.cli.diagnose import diagnosed
@@ -45,7 +46,7 @@ def _diagnosed(runs: list[Run]) -> FullDiagnosis:
     names = [str(run.folder) for run in runs]
     request = Request(names, runs[0].folder.parent)
     file = runs[-1].folder / ("diagnose-together.json" if len(runs) > 1 else "diagnose.json")
-    (result,) = diagnosed(request, str(file), together=len(runs) > 1)
+    (result,) = done(diagnosed(request, str(file), together=len(runs) > 1))
     return result
 
 

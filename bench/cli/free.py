@@ -11,28 +11,29 @@ from bench.cli import printing
 from bench.cli.diagnose import not_written, unused
 
 if TYPE_CHECKING:
+    from bench.api.each import Failed
     from bench.api.free_diagnosis import FreeDiagnosisResult
     from bench.api.source import Source
     from bench.model import AppliedEffect
 
 
 def diagnosed_free(
-    loaded: Sequence[Source],
+    loaded: Sequence[Source | Failed],
     target: str | None,
     *,
     together: bool,
     one_block: bool | None,
     accept_first: bool,
     report: bool | None,
-) -> list[FreeDiagnosisResult]:
+) -> list[FreeDiagnosisResult | Failed]:
     """Diagnose sources of free positions, each by itself or all `together`; print, write JSON to `target`."""
+    from bench.api.each import done, each
     from bench.api.free_diagnosis import free_diagnosis_of
 
-    printing.bench_files(loaded, target)
-    bodies = [list(loaded)] if together else [[source] for source in loaded]
-    page = len(bodies) == 1 if report is None else report
-    results = []
-    for body in bodies:
+    printing.bench_files(done(loaded), target)
+    page = (together or len(loaded) == 1) if report is None else report
+
+    def diagnosed(body: list[Source]) -> FreeDiagnosisResult:
         result = free_diagnosis_of(body, one_block=one_block)
         result = replace(result, copies=dict(_copies(result)))
         result = replace(result, models=list(_models(result, accept_first=accept_first)))
@@ -41,10 +42,13 @@ def diagnosed_free(
             # the page names itself nowhere, so that it may be made before it is written
             written = printing.write_beside(file, result.html(), asked=_asked(result))
             result = replace(result, page=file if written else None)
-        results.append(result)
+        return result
+
+    results: list[FreeDiagnosisResult | Failed]
+    results = [diagnosed(done(loaded))] if together else each(loaded, lambda source: diagnosed([source]))
     printing.write_json([one.to_dict() for one in results], target)
     out = printing.console(json=target)
-    for one in results:
+    for one in done(results):
         one.print_on(out)
     return results
 

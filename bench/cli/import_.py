@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from bench.base.regular import read_regular
 from bench.cli import printing
 from bench.cli.options import RUNS, BenchOption, RunsOption, app
 
@@ -54,9 +55,9 @@ def import_(
     }
     if told.origin is not None:
         manifest["dry_run"] = told.origin.simulated
-    inputs = {IMPORTED: content, BENCH: path.read_bytes()}
+    inputs = {IMPORTED: content, BENCH: read_regular(path)}
     if told.origin is not None:
-        inputs[IMPORTED + SUFFIX] = file.with_name(file.name + SUFFIX).read_bytes()
+        inputs[IMPORTED + SUFFIX] = read_regular(file.with_name(file.name + SUFFIX))
     record = Record.create(run.folder, manifest, inputs, utc_now)
     record.append("imported", 0.0, file=str(file), readings=len(readings))
     record.close()

@@ -71,7 +71,7 @@ def _until(expires: str | None) -> date | None:
 
     if expires is None:
         return None
-    if expires.isdecimal() and 0 < int(expires) < 36500:
+    if expires.isascii() and expires.isdecimal() and 0 < int(expires) < 36500:
         return utc_now().date() + timedelta(days=int(expires))
     try:
         return date.fromisoformat(expires)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.api.errors import Refused
 from bench.base.progress import quiet
-from bench.base.visible import visible
+from bench.base.visible import bounded, visible
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -84,6 +84,20 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
         sys.stdout.write(text)
     else:
         write_whole(Path(target), text)
+
+
+def failed(results: Sequence[object]) -> bool:
+    """Say which of several sources could not be evaluated, a line each; return whether there is any."""
+    from bench.api.each import failures
+
+    found = failures(results)
+    if len(found) > 1 and len({one.problem for one in found}) == 1:
+        raise Refused(found[0].problem)  # it is not the sources
+    for one in found:
+        print(f"bench: {visible(bounded(str(one)))}", file=sys.stderr)
+    if found:
+        print(f"bench: {len(found)} of {len(results)} sources could not be evaluated", file=sys.stderr)
+    return bool(found)
 
 
 def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:

@@ -6,6 +6,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.base.regular import read_regular
 from bench.cli import printing
 from bench.cli.options import (
     RUNS,
@@ -95,6 +96,6 @@ def _changed_since(run: Run) -> list[str]:
     changes = []
     for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
         original = Path(str(run.manifest.get(kind)))
-        if original.is_file() and original.read_bytes() != (run.folder / copy).read_bytes():
+        if original.is_file() and read_regular(original) != read_regular(run.folder / copy):
             changes.append(f"{original} was changed since the run began")
     return changes

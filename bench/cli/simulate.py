@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.api.errors import Refused
+from bench.base.regular import read_regular
 from bench.cli import printing
 from bench.cli.options import BenchOption, ModelOption, app
 
@@ -114,7 +115,7 @@ def _command(control: str | None, text: str | None) -> int:
     if control is None or text is None:
         raise Refused("a bench that is served takes: bench simulate --control HOST:PORT 'turn 45 deg'")
     host, _, port = control.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
+    if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise Refused(f"--control {control}: expected HOST:PORT as 'bench simulate' shows it")
     line = " ".join(text.split())
     try:
@@ -188,7 +189,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
         yield
     finally:
         with contextlib.suppress(OSError):
-            if ordinary and ready_file.read_text(encoding="utf-8") == text:
+            if ordinary and read_regular(ready_file).decode() == text:
                 ready_file.unlink()
 
 

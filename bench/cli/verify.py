@@ -45,18 +45,19 @@ def verify(
     runs: RunsOption = RUNS,
 ) -> int:
     """Δg at the verification points against the limit; exit status 1 unless all are accepted."""
-    from bench.api.source import Request, load_sources
+    from bench.api.each import done, each, load_each
+    from bench.api.source import Request
     from bench.api.verification import Asked, verification_of
 
     printing.check_target(json)
     asked = Asked(limit, rule, guard_band, population)
     asked.check()
-    results = []
-    loaded = load_sources(Request(sources, runs, bench, model, g, out, skip_bad_rows))
-    printing.bench_files(loaded, json)
-    for source in loaded:
-        results.append(verification_of(source, coefficients, asked))
-        printing.notes_aside(results[-1].warnings)
+    loaded = load_each(Request(sources, runs, bench, model, g, out, skip_bad_rows))
+    printing.bench_files(done(loaded), json)
+    everyone = each(loaded, lambda source: verification_of(source, coefficients, asked))
+    results = done(everyone)
+    for result in results:
+        printing.notes_aside(result.warnings)
     for result in results:
         what_if = result.source.what_if or coefficients is not None or result.otherwise
         file = printing.write_result(result.source, "verify", result.to_dict(), what_if=what_if)
@@ -64,5 +65,7 @@ def verify(
             printing.notes_aside(result.notes)
         else:
             printing.verification(result, file)
-    printing.write_json([result.to_dict() for result in results], json)
+    printing.write_json([one.to_dict() for one in everyone], json)
+    if printing.failed(everyone):
+        return 2
     return 0 if all(result.accepted for result in results) else 1

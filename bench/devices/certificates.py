@@ -29,6 +29,7 @@ from bench.base.units import (
     not_negative,
     reads,
 )
+from bench.base.words import repeated
 
 DAYS_OF_YEAR: Final = 365.25
 
@@ -46,7 +47,7 @@ _ROUNDING_RAD: Final = 1e-6
 def _day(written: object) -> datetime.date:
     if isinstance(written, datetime.date):
         return written
-    if not isinstance(written, str) or re.fullmatch(r"\d{4}-\d\d-\d\d", written) is None:
+    if not isinstance(written, str) or re.fullmatch(r"[0-9]{4}-[0-9][0-9]-[0-9][0-9]", written) is None:
         raise ValueError(f"expected a date such as 2026-03-02, got '{written}'")
     try:
         return datetime.date.fromisoformat(written)
@@ -235,8 +236,7 @@ def of_known_ranges(certificate: VoltmeterCertificate, known_v: Iterable[float])
 
 
 def _refuse_twice(names: list[str], what: str) -> None:
-    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
-    if twice:
+    if twice := repeated(names):
         raise ValueError(f"the {what} {', '.join(twice)} stands twice; leave one out")
 
 

@@ -17,7 +17,7 @@ from bench.devices.device import DeviceSection
 BAUD_RATES: Final = (300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 
 _VISA: Final = re.compile(r"(ASRL|GPIB|PRLGX|TCPIP|USB)[^\s]*::[^\s]+")
-_ADAPTER: Final = re.compile(r"prologix://(/\S+|COM\d+|[^\s/:]+(?::\d{1,5})?)/(\d{1,2})")
+_ADAPTER: Final = re.compile(r"prologix://(/\S+|COM[0-9]+|[^\s/:]+(?::[0-9]{1,5})?)/([0-9]{1,2})")
 _HIGHEST_ADDRESS: Final = 30
 _ADAPTER_PORT: Final = ":1234"
 """The port of an adapter on the network where none is stated (`drivers.wire.prologix`)."""

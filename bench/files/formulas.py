@@ -27,7 +27,7 @@ FORMAT: Final = "1"
 ENVIRONMENT: Final = "BENCH_EFFECTS"
 """Files with effects of the user's own, several with the system's path separator."""
 
-_QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+_QUANTITY: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*")
 StandAngle = Literal["axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll"]
 
 

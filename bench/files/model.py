@@ -215,9 +215,9 @@ def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -
         label, slash, series = mounting.partition("/")
         if label not in installations:
             yield unknown_word(label, sorted(installations), "installation")
-        elif slash and not (series.isdecimal() and int(series) > 1):
+        elif slash and not (series.isascii() and series.isdecimal() and int(series) > 1):
             yield f"expected a series from 2 on after the slash, such as '{label}/2', got '{mounting}'"
-        elif of_pass and not number.isdecimal():
+        elif of_pass and not (number.isascii() and number.isdecimal()):
             yield f"expected the number of a pass, such as '{pass_label(mounting, 2)}', got '{written_one}'"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from bench.panel.access.store import Access
 from bench.panel.certificates import Certificates
 from bench.panel.folder import RunsFolder
@@ -24,4 +26,5 @@ class Panel:
         self.diagnosing: dict[str, Started] = {}
         self.followers = Followers(lambda folder: {"control": read_holding(folder).to_json()})
         self.certificates = Certificates(settings.laboratory)
+        self.streams: Counter[str] = Counter()
         self.access = Access(settings.runs / STATE)

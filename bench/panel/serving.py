@@ -8,11 +8,12 @@ import socket
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import quote, urlsplit
 
 from filelock import FileLock, Timeout
 
+from bench.base.regular import read_regular
 from bench.base.whole import from_text, to_text, write_whole
 from bench.panel.access.kept import private_folder
 from bench.panel.access.people import Refusal
@@ -20,6 +21,10 @@ from bench.panel.access.store import Access
 from bench.panel.launching.detached import Started, start, wait_until
 from bench.panel.settings import PORT, STATE, Settings, is_loopback
 from bench.run.manifest import RecordError
+
+if TYPE_CHECKING:
+    import uvicorn
+    from starlette.types import ASGIApp
 
 SERVER: Final = "server.json"
 LOCK: Final = "server.lock"
@@ -61,17 +66,28 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
             tell(f"sign in, once, within half an hour: {new_link(settings.runs)}")
         elif not settings.address:
             tell(f"look: {OPEN_WIRE}")
-        config = uvicorn.Config(
-            app,
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            ws="none",
-            lifespan="on",
-            timeout_graceful_shutdown=1,
-        )
-        uvicorn.Server(config).run(sockets=[listener])
+        uvicorn.Server(config_of(app)).run(sockets=[listener])
+
+
+def config_of(app: ASGIApp) -> uvicorn.Config:
+    """Return how an application is served: by our connections, with warnings about clients once a minute."""
+    import uvicorn
+
+    from bench.panel.connections import LOG, ONCE, Connection
+
+    config = uvicorn.Config(
+        app,
+        http=Connection,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        ws="none",
+        lifespan="on",
+        timeout_graceful_shutdown=1,
+    )
+    LOG.addFilter(ONCE)
+    return config
 
 
 def check(settings: Settings) -> None:
@@ -113,7 +129,7 @@ def _listening(settings: Settings) -> socket.socket:
 def url_of(runs: Path) -> str:
     """Return where the panel of a folder is, as it said itself when it began; empty where none ever did."""
     try:
-        told = from_text((runs / STATE / SERVER).read_bytes())
+        told = from_text(read_regular(runs / STATE / SERVER))
         return str(told["url"])
     except (OSError, ValueError, KeyError, TypeError):
         return ""

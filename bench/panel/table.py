@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.api.records import run_summary
+from bench.base.regular import open_regular
 from bench.panel.folder import RunsFolder
 from bench.run.digest import Digests
 from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Run
@@ -164,7 +165,7 @@ def _stamp(folder: Path) -> Stamp:
 def state_at_the_end(folder: Path) -> str:
     """Return the state of a run that is being carried out, by the last lines of its record."""
     try:
-        with (folder / EVENTS).open("rb") as file:
+        with open_regular(folder / EVENTS) as file:
             file.seek(max(file.seek(0, 2) - TAIL, 0))
             lines = file.read().splitlines()
     except OSError:

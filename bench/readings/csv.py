@@ -14,14 +14,18 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.regular import read_given
+from bench.base.visible import shortened
+from bench.base.words import repeated
 from bench.readings.cells import as_cell, of_cell
+from bench.readings.doubtful import doubtful
 from bench.readings.level_columns import LEVEL_COLUMNS, wrong_level_cell
-from bench.readings.numbers import BadCell, angle, direction, integer, number
+from bench.readings.numbers import BadCell, angle, direction, integer, number, temperature
 from bench.readings.rails import is_of_a_rail
 from bench.readings.table import (
     CHAMBER_C,
     FREE,
     REFERENCE,
+    REFERENCE_V,
     SCAN_ORDER,
     SHORTED,
     TEMPERATURE_SOURCE,
@@ -38,7 +42,7 @@ if TYPE_CHECKING:
 LISTED_AT_ONCE: Final = 20
 REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
 OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
-AS_TEXT: Final = ("range_v", SCAN_ORDER, "reference_v", TEMPERATURE_SOURCE, CHAMBER_C, *LEVEL_COLUMNS)
+AS_TEXT: Final = ("range_v", SCAN_ORDER, REFERENCE_V, TEMPERATURE_SOURCE, CHAMBER_C, *LEVEL_COLUMNS)
 """Promised columns that no number is made of here."""
 
 
@@ -145,7 +149,8 @@ def _read(
     unknown = ", ".join(name for name in header if name not in known and not is_of_a_rail(name))
     notes = (f"columns kept and not used: {unknown}",) if unknown else ()
     table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
-    return replace(table, verification_missing=verification_missing)
+    doubts = doubtful(table, list(seen.values()))
+    return replace(table, notes=(*notes, *doubts), verification_missing=verification_missing)
 
 
 def split_table(
@@ -177,7 +182,7 @@ def split_table(
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         raise ReadingsError(f"{path}, line 1: columns must be separated by commas (and decimals by a dot)")
-    twice = sorted({name for name in header if header.count(name) > 1})
+    twice = sorted(map(shortened, repeated(header)))
     if twice:
         raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} stands more than once")
     return header, body
@@ -227,7 +232,7 @@ def _row(
     if label not in labels:
         raise BadCell(
             "installation",
-            f"expected one of {', '.join(sorted(labels))} (a bench file can define more), got {label!r}",
+            f"expected one of {', '.join(sorted(labels))} (a bench file can define more), got {shortened(label)!r}",
         )
     row = {
         "series": integer(text, "series", default=1),
@@ -237,7 +242,7 @@ def _row(
         "target_deg": angle(text, "target_deg", optional=True),
         "direction": direction(text),
         "time_s": number(text, "time_s", "a time in seconds", optional=True),
-        "temperature_c": number(text, "temperature_c", "a temperature in °C", optional=True),
+        "temperature_c": temperature(text, "temperature_c"),
         "samples": integer(text, "samples", default=1),
     }
     try:
@@ -246,6 +251,8 @@ def _row(
         raise BadCell(SCAN_ORDER, str(problem)) from None
     if wrong := wrong_level_cell(text):
         raise BadCell(*wrong)
+    temperature(text, CHAMBER_C)
+    number(text, REFERENCE_V, "the voltage at the inputs in V", optional=True)
     for name in filter(is_of_a_rail, header):
         number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
@@ -253,7 +260,7 @@ def _row(
             number(text, name, "a number with a dot as decimal sign"),
             name[:2] + "_sd" + name[2:],
         )
-        row[sd] = number(text, sd, "a standard deviation", optional=True)
+        row[sd] = number(text, sd, "a standard deviation, 0 or more", optional=True, least=0.0)
     return row
 
 

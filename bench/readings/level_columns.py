@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, HOUR, Floats, Labels
+from bench.base.numbers import read_number
+from bench.base.visible import shortened
 
 ANGLES: Final = ("alpha1_arcsec", "alpha2_arcsec", "u_alpha1_arcsec", "u_alpha2_arcsec")
 """The columns of a levelling: the platform's angles while the block is mounted, and their u."""
@@ -50,11 +52,11 @@ def wrong_level_cell(text: Mapping[str, str]) -> tuple[str, str] | None:
     for name in LEVEL_COLUMNS:
         cell = text.get(name, "").strip()
         try:
-            good = not cell or math.isfinite(float(cell))
+            good = not cell or math.isfinite(read_number(cell))
         except ValueError:
             good = False
         if not good:
-            return name, f"expected a number of arcsec, got {cell!r}"
+            return name, f"expected a number of arcsec, got {shortened(cell)!r}"
     given = [name for name in ANGLES if text.get(name, "").strip()]
     for name in ANGLES if given else ():
         if name not in given or (name.startswith("u_") and float(text[name]) <= 0.0):

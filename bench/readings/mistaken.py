@@ -26,6 +26,7 @@ class MistakeName(StrEnum):
     SHIFTED_POINTS = "shifted_points"
     WRONG_SETTING = "wrong_setting"
     OUTLIER = "outlier"
+    WRONG_UNIT = "wrong_unit"
     OTHER_MOUNTING = "other_mounting"
     """The block sat otherwise: no mistake of its own, since nothing says how; others may look like it."""
 

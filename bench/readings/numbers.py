@@ -5,8 +5,18 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from bench.base.numbers import read_number
+from bench.base.visible import shortened
+
 OVERLOAD: Final = 9.0e37
 """What a meter shows that is overloaded is larger, V (34401A User's Guide, chapter 3)."""
+
+ABSOLUTE_ZERO_C: Final = -273.15
+HOTTEST_C: Final = 200.0
+"""No chamber of a bench is hotter; room temperature in kelvin is."""
+
+MOST: Final = 1_000_000
+"""No run has more passes, points, series or samples; what is larger stood in another column."""
 
 
 class BadCell(ValueError):
@@ -17,33 +27,56 @@ class BadCell(ValueError):
         self.column = column
 
 
-def number(text: dict[str, str], column: str, expected: str, *, optional: bool = False) -> float:
-    """Return the number in a column; an empty cell is NaN where it is `optional`. Raises `BadCell`."""
+def number(
+    text: dict[str, str],
+    column: str,
+    expected: str,
+    *,
+    optional: bool = False,
+    least: float = -math.inf,
+    most: float = math.inf,
+    hint: str = "",
+) -> float:
+    """Return the number in a column, from `least` to `most`; an empty cell is NaN where it is `optional`.
+
+    Raises `BadCell`, with a `hint` where the number lies beyond.
+    """
     cell = text.get(column, "")
     if cell == "" and optional:
         return math.nan
     try:
-        if "_" in cell:
-            raise ValueError
-        value = float(cell)
+        value = read_number(cell)
     except ValueError:
-        raise BadCell(column, f"expected {expected}, got {cell!r}") from None
+        raise BadCell(column, f"expected {expected}, got {_quoted(cell)}") from None
     if abs(value) >= OVERLOAD and math.isfinite(value):
         raise BadCell(
-            column, f"the voltmeter was overloaded ({cell}); measure this point again on a higher range"
+            column,
+            f"the voltmeter was overloaded ({shortened(cell)}); measure this point again on a higher range",
         )
     if not math.isfinite(value):
-        raise BadCell(column, f"expected {expected}, got {cell!r}")
+        raise BadCell(column, f"expected {expected}, got {_quoted(cell)}")
+    if not least <= value <= most:
+        raise BadCell(column, f"expected {expected}, got {_quoted(cell)}{hint}")
     return value
+
+
+def temperature(text: dict[str, str], column: str) -> float:
+    """Return a temperature, °C, NaN of an empty cell. Raises `BadCell` for one that no bench has."""
+    expected = f"a temperature in °C from {ABSOLUTE_ZERO_C:g} to {HOTTEST_C:g}"
+    return number(
+        text, column, expected, optional=True, least=ABSOLUTE_ZERO_C, most=HOTTEST_C,
+        hint="; is it in kelvin or °F?",
+    )  # fmt: skip
 
 
 def integer(text: dict[str, str], column: str, *, default: int | None = None) -> float:
     """Return a whole number of 1 or more, of an empty cell the default. Raises `BadCell`."""
     if default is not None and text.get(column, "") == "":
         return float(default)
-    value = number(text, column, "a whole number, 1 or more")
-    if value != int(value) or not 1 <= value < 2**31:
-        raise BadCell(column, f"expected a whole number, 1 or more, got {text[column]!r}")
+    expected = "a whole number, 1 or more"
+    value = number(text, column, expected, most=MOST, hint="; is it of another column?")
+    if not value >= 1 or value != int(value):
+        raise BadCell(column, f"expected {expected}, got {_quoted(text[column])}")
     return value
 
 
@@ -51,7 +84,9 @@ def angle(text: dict[str, str], column: str, *, optional: bool) -> float:
     """Return an angle in degrees, at most two turns. Raises `BadCell`."""
     value = number(text, column, "an angle in degrees", optional=optional)
     if abs(value) > 720:
-        raise BadCell(column, f"expected an angle in degrees between -720 and 720, got {text[column]!r}")
+        raise BadCell(
+            column, f"expected an angle in degrees between -720 and 720, got {_quoted(text[column])}"
+        )
     return value
 
 
@@ -62,6 +97,10 @@ def direction(text: dict[str, str]) -> float:
         return 0.0
     if value not in {1.0, -1.0}:
         raise BadCell(
-            "direction", f"expected +1 (rising), -1 (falling) or nothing, got {text['direction']!r}"
+            "direction", f"expected +1 (rising), -1 (falling) or nothing, got {_quoted(text['direction'])}"
         )
     return value
+
+
+def _quoted(cell: str) -> str:
+    return repr(shortened(cell))

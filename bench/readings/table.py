@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.arrays import Floats, Ints, Labels
+from bench.base.visible import shortened
 from bench.model.conditions import Conditions
 from bench.readings.level_columns import level_rad
 from bench.readings.rails import above_nominal_v
@@ -157,7 +158,9 @@ def scan_order(text: str) -> tuple[int, ...]:
     """
     order = tuple("xyz".find(letter) for letter in text.strip().lower())
     if order and sorted(order) != [0, 1, 2]:
-        raise ValueError(f"expected the three channels in the order read, such as xyz or zyx, got {text!r}")
+        raise ValueError(
+            f"expected the three channels in the order read, such as xyz or zyx, got {shortened(text)!r}"
+        )
     return order or (0, 1, 2)
 
 

@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.base.visible import in_json
+from bench.base.numbers import read_number
+from bench.base.regular import open_regular
+from bench.base.visible import in_json, shortened
 from bench.run.control import NOBODY_KNOWN, Who
 from bench.run.events import Event, EventType
 from drivers.angles import format_dms, parse_angle, read_angle
@@ -57,7 +59,7 @@ class LeftAnswer:
 def leave_answer(folder: Path, answer: LeftAnswer) -> None:
     """Leave an answer in the folder of a run. Raises `OSError` where it cannot be written."""
     line = in_json(json.dumps(answer.to_json(), ensure_ascii=False)).encode() + b"\n"
-    with (folder / ANSWERS).open("ab", buffering=0) as file:
+    with open_regular(folder / ANSWERS, "ab") as file:
         file.write(line)
 
 
@@ -82,7 +84,7 @@ class AnswersFile:
     def _next(self) -> bytes | None:
         """Return the next whole line, however long it is no more than its beginning."""
         try:
-            with self._path.open("rb") as file:
+            with open_regular(self._path) as file:
                 file.seek(self._place)
                 beginning = part = file.readline(8 * LONGEST)
                 length = len(part)
@@ -297,11 +299,11 @@ def _problem_with_number(prompt: Prompt, given: str) -> str:
 
 def _number(given: str, unit: str) -> float:
     try:
-        if "_" in given:
-            raise ValueError
-        return float(given.replace(",", ".").removesuffix(unit).strip())
+        return read_number(given.replace(",", ".").removesuffix(unit).strip())
     except ValueError:
-        raise ValueError(f"a number{' in ' + unit if unit else ''} is wanted, not {given!r}") from None
+        raise ValueError(
+            f"a number{' in ' + unit if unit else ''} is wanted, not {shortened(given)!r}"
+        ) from None
 
 
 def _between(prompt: Prompt, value: float) -> float:

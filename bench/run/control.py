@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from bench.base.regular import open_regular
 from bench.base.visible import in_json
 from bench.run.states import Wish
 
@@ -129,7 +130,7 @@ class ControlFile:
 
     def _line(self) -> bytes:
         try:
-            with self._path.open("rb") as file:
+            with open_regular(self._path) as file:
                 file.seek(self._heard)
                 return file.readline()
         except OSError:
@@ -139,7 +140,7 @@ class ControlFile:
 def leave_wish(folder: Path, control: RunControl) -> None:
     """Leave a wish in the folder of a run. Raises `OSError` where it cannot be written."""
     line = in_json(json.dumps(control.to_json(), ensure_ascii=False))
-    with (folder / CONTROL).open("ab", buffering=0) as file:
+    with open_regular(folder / CONTROL, "ab") as file:
         file.write(line.encode() + b"\n")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bench.base.collecting import uncollected
 from bench.base.json_text import read_json
+from bench.base.regular import read_regular
 from bench.procedure.plan import Plan, Read
 from bench.readings.levelled import Seen, with_levels
 from bench.readings.reading import readings_of
@@ -55,7 +56,7 @@ class Run:
         """The plan that was, or is to be, carried out."""
         try:
             with uncollected():
-                return Plan.from_json(read_json((self.folder / PLAN).read_bytes()))
+                return Plan.from_json(read_json(read_regular(self.folder / PLAN)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RecordError(
                 f"{self.folder / PLAN}: cannot be read ({error}); take it from a copy"

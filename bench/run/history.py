@@ -15,6 +15,7 @@ from typing import BinaryIO, Final, overload
 
 from bench.base.collecting import uncollected
 from bench.base.json_text import read_json
+from bench.base.regular import open_regular, read_regular
 from bench.readings.reading import Reading
 from bench.run.events import Event, EventType, Levelled
 from bench.run.manifest import EVENTS, MANIFEST, RecordError, changed_inputs, sha256
@@ -34,7 +35,7 @@ class Events(Sequence[Event]):
     def __iter__(self) -> Iterator[Event]:
         if not self._count:
             return
-        with self._path.open("rb") as file:
+        with open_regular(self._path) as file:
             for line in islice(file, self._count):
                 yield parse_line(line)[0]
 
@@ -90,10 +91,10 @@ def read_history(folder: Path) -> History:
     """Read the events of a run and check the chain of hashes and the inputs' hashes. Raises `RecordError`."""
     problems = changed_inputs(folder)
     path = folder / EVENTS
-    reader = _Reader(sha256((folder / MANIFEST).read_bytes()))
+    reader = _Reader(sha256(read_regular(folder / MANIFEST)))
     try:
         if path.exists():
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 problems += reader.read(file)
     except OSError as error:
         raise RecordError(

@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 from typing import Final, TypedDict, cast
 
+from bench.base.regular import read_regular
+
 EVENTS: Final = "events.jsonl"
 MANIFEST: Final = "run.json"
 FORMAT: Final = 1
@@ -99,9 +101,11 @@ def sha256(data: bytes) -> str:
 def read_manifest(folder: Path) -> Manifest:
     """Return the inputs' manifest of a run. Raises `RecordError` when there is none."""
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except OSError:
+        manifest = json.loads(read_regular(folder / MANIFEST).decode())
+    except (FileNotFoundError, NotADirectoryError):
         raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
+    except OSError as error:
+        raise RecordError(f"{folder / MANIFEST}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError):
         raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
@@ -114,5 +118,5 @@ def changed_inputs(folder: Path) -> list[str]:
     return [
         f"{name} was changed since the run began"
         for name, digest in read_manifest(folder).get("files", {}).items()
-        if not (folder / name).is_file() or sha256((folder / name).read_bytes()) != digest
+        if not (folder / name).is_file() or sha256(read_regular(folder / name)) != digest
     ]

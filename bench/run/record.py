@@ -21,6 +21,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.regular import open_regular
 from bench.base.visible import in_json
 from bench.run.events import Event, EventType
 from bench.run.history import History, read_history
@@ -53,7 +54,7 @@ class Record:
         self._half_written = False
         try:
             # unbuffered: what a full disk refused is not tried again when the file is closed
-            self._file = (folder / EVENTS).open("ab", buffering=0)
+            self._file = open_regular(folder / EVENTS, "ab")
         except OSError as error:
             raise _cannot_write(folder, error) from error
         if not _lock(self._file.fileno()):
@@ -235,7 +236,7 @@ def is_being_written(folder: Path) -> bool:
     Always false where the system has no file locks.
     """
     try:
-        with (folder / EVENTS).open("rb") as file:
+        with open_regular(folder / EVENTS) as file:
             return not _shared(file.fileno())
     except (OSError, ImportError):
         return False

@@ -15,6 +15,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.regular import read_regular
 from bench.base.whole import to_text, write_whole
 from bench.run.folder import Run
 from bench.run.manifest import MANIFEST, RecordError, sha256
@@ -113,7 +114,7 @@ def seal_of(run: Run, sealed: str) -> Seal:
         run=str(manifest.get("name", "")),
         events=len(run.history.events),
         head=run.history.head,
-        manifest_sha256=sha256((run.folder / MANIFEST).read_bytes()),
+        manifest_sha256=sha256(read_regular(run.folder / MANIFEST)),
         files={name: str(digest) for name, digest in manifest.get("files", {}).items()},
         sealed=sealed,
     )
@@ -135,7 +136,7 @@ def read_seal(folder: Path) -> Seal | None:
     """Return the seal of a run, None where it has none. Raises `RecordError` for a damaged one."""
     path = folder / SEAL
     try:
-        return Seal.from_json(json.loads(path.read_text(encoding="utf-8")))
+        return Seal.from_json(json.loads(read_regular(path).decode()))
     except FileNotFoundError:
         return None
     except OSError as error:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from bench.base.extras import missing
-from bench.base.regular import read_given
+from bench.base.regular import read_given, read_regular
 from bench.run.manifest import RecordError
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def public_key(pem: str, where: str) -> Ed25519PublicKey:
 def read_public_key(file: Path) -> Ed25519PublicKey:
     """Return the public key in a file. Raises `RecordError`."""
     try:
-        return public_key(file.read_text(encoding="ascii"), str(file))
+        return public_key(read_regular(file).decode("ascii"), str(file))
     except OSError as error:
         raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError:

@@ -1,11 +1,16 @@
-"""Numbers as pages have them: u and U to two digits, estimates to the same place (JCGM 100:2008, 7.2.6)."""
+"""Numbers: as pages have them (JCGM 100:2008, 7.2.6), and as they are typed."""
 
 import random
 from decimal import Decimal
 
 import pytest
 
-from bench.base.numbers import MINUS, rounded, uncertainty
+from bench.api.errors import Refused
+from bench.api.quantities import quantity
+from bench.base.numbers import MINUS, read_number, rounded, uncertainty
+from bench.base.units import ACCELERATION, RATIO, parse_quantity
+from drivers.angles import parse_angle
+from drivers.typed import typed_supply, typed_temperature
 
 
 @pytest.mark.parametrize(
@@ -39,3 +44,22 @@ def test_rounding_takes_little_off_an_uncertainty_and_ends_where_the_estimate_do
         assert len(value.partition(".")[2]) == len(uncertainty(u).partition(".")[2])
         if u >= 99.5:  # the last digits are zeros, of both alike
             assert int(value) % 10 == 0
+
+
+@pytest.mark.parametrize("text", ["1", "-2.5", "+1e-3", " 7 ", ".5"])
+def test_a_number_is_read(text):
+    assert read_number(text) == float(text)
+
+
+@pytest.mark.parametrize("text", ["\u0661\u0662", "\uff11", "1_000", "1\u0662", "\u0967.5", "", "1,5"])
+def test_digits_of_other_alphabets_are_none(text):
+    with pytest.raises(ValueError, match=r"number|could not"):
+        read_number(text)
+    for read in (parse_angle, typed_temperature, lambda typed: typed_supply(typed, "V")):
+        if text != "1,5":
+            with pytest.raises(ValueError, match=r"number|angle|temperature"):
+                read(text)
+    with pytest.raises(ValueError, match="expected"):
+        parse_quantity(text, RATIO)
+    with pytest.raises(Refused):
+        quantity("--accuracy", text, ACCELERATION)

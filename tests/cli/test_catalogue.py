@@ -1,7 +1,11 @@
 """The catalogue from the command line: sync, questions, a unit, what is due."""
 
+import contextlib
 import csv
 import json
+import random
+import shutil
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +14,7 @@ import pytest
 from tests.support.laboratory import write_run
 from tests.support.schemas import keeps_to
 
+RECORDS = Path(__file__).parents[1] / "data" / "records"
 DRIFT_V = np.array([0.0] * 9 + [6e-5, 0.0, 0.0])
 
 
@@ -145,3 +150,32 @@ def test_what_cannot_be_done_is_a_sentence(synced, words, said):
 def test_keys_are_listed(bench):
     _, out, _ = bench("catalogue", "keys")
     assert "begun on that day or later" in out
+
+
+@pytest.mark.slow
+def test_a_damaged_catalogue_says_so_and_what_to_do(bench):
+    """Bytes overwritten (random, seed 1), a file cut short, a table lost: the remedy is named, or it works."""
+    shutil.copytree(RECORDS / "finished", Path("runs/a"))
+    file = Path("c.sqlite")
+    assert bench("catalogue", "sync", "runs", "--catalogue", file)[0] == 0
+    good, draw = file.read_bytes(), random.Random(1)  # noqa: S311 - nothing secret
+    refused = 0
+    for number in range(24):
+        spoilt = bytearray(good)
+        for _ in range(draw.choice((1, 30, 2000))):
+            spoilt[draw.randrange(len(good))] = draw.randrange(256)
+        for beside in Path().glob("c.sqlite*"):
+            beside.unlink()
+        file.write_bytes(spoilt[: draw.randrange(len(good))] if number % 4 == 0 else spoilt)
+        if number % 4 == 1:
+            file.write_bytes(good)
+            with contextlib.closing(sqlite3.connect(file)) as opened:
+                opened.execute(f"DROP TABLE {draw.choice(('runs', 'calibrations', 'verifications'))}")
+                opened.commit()
+        status, _, err = bench("catalogue", "ask", "--catalogue", file)
+        assert status in {0, 1, 2}
+        assert "mistake of the program" not in err
+        if status == 2:
+            refused += 1
+            assert "make it again with: bench catalogue sync DIR" in err
+    assert refused >= 6

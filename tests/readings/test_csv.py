@@ -129,6 +129,47 @@ def test_each_mistake_names_file_line_column_and_what_was_expected(read, row, co
     assert "--skip-bad-rows" in message
 
 
+@pytest.mark.parametrize(
+    ("column", "cell", "says"),
+    [
+        ("ux_sd_v", "-1e-6", "expected a standard deviation, 0 or more, got '-1e-6'"),
+        ("temperature_c", "-273.2", "°C from -273.15 to 200, got '-273.2'"),
+        ("temperature_c", "293.15", "got '293.15'; is it in kelvin or °F?"),
+        ("chamber_c", "296", "is it in kelvin"),
+        ("reference_v", "five", "the voltage at the inputs in V, got 'five'"),
+        ("pass", "1000000000", "got '1000000000'; is it of another column?"),
+        ("point", "20261123", "is it of another column?"),
+        ("series", "1e7", "is it of another column?"),
+        ("pass", "\u0661", "a whole number, 1 or more, got '\u0661'"),
+        ("ux_v", "\uff11.5", "a dot as decimal sign, got '\uff11.5'"),
+        ("angle_deg", "\u0664\u0665", "an angle in degrees"),
+        ("alpha1_arcsec", "\u0665", "a number of arcsec"),
+        ("rail_p15_v", "\u0661\u0665", "of a rail in V or A"),
+        ("ux_v", "7" * 100_000, f"got '{'7' * 80}…'"),
+        ("uy_v", "x" * 100_000, f"got '{'x' * 80}…'"),
+        ("installation", "9" * 100_000, f"got '{'9' * 80}…'"),
+        ("scan_order", "x" * 100_000, f"got '{'x' * 80}…'"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_short_line(read, column, cell, says):
+    names = HEADER.split(",")
+    row = dict(zip(names, GOOD[0].split(","), strict=True)) | {column: cell}
+    message = refusal(read, [",".join(row), ",".join(row.values())])
+    assert f"line 2, column {column}: " in message
+    assert says in message
+    assert len(message) < 500
+
+
+def test_what_can_hardly_be_is_doubted_in_a_note(read):
+    rows = [f"{row},{time},{sd}" for row, time, sd in zip(GOOD, (0, 60, 50), ("0.1", "0.7", ""), strict=True)]
+    table = read([f"{HEADER},time_s,ux_sd_v", *rows])
+    assert table.notes == (
+        "time_s runs backwards (line 4): rows stand in the order of measurement; is the file sorted anew?",
+        "the standard deviation of ux in line 3, 0.7 V, is more than all readings of it differ by, 0.6 V: "
+        "check its unit",
+    )
+
+
 @pytest.mark.parametrize("direction", ["0", "2", "up"])
 def test_a_direction_is_plus_or_minus_one(read, direction):
     message = refusal(read, [HEADER + ",direction", GOOD[0] + "," + direction])
@@ -257,14 +298,16 @@ def test_a_mean_of_samples_is_written_without_what_its_sum_has_rounded(read):
 
 finite = st.floats(-1e6, 1e6)
 maybe = st.one_of(st.just(np.nan), finite)
+size = st.one_of(st.just(np.nan), st.floats(0, 1e6))
+degrees_c = st.one_of(st.just(np.nan), st.floats(-273.15, 200))
 text = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
 row = st.tuples(
     st.sampled_from(["1", "2", "V"]),
     st.decimals(-720, 720, places=9).map(float),
     st.tuples(finite, finite, finite),
-    st.tuples(maybe, maybe, maybe),
+    st.tuples(size, size, size),
     maybe,
-    maybe,
+    degrees_c,
     st.sampled_from([-1, 0, 1]),
     text,
 )

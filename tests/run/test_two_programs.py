@@ -1,9 +1,9 @@
 """Two programs at one record: real processes, which meet at barriers of lines over pipes."""
 
+import os
 import subprocess
 import sys
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 
@@ -108,15 +108,17 @@ def test_a_torn_line_of_a_program_that_died_is_cut_off_under_the_lock(record, ot
 def test_to_look_whether_a_run_is_being_written_opens_nothing_for_writing(record, monkeypatch):
     events, modes = record.folder / EVENTS, []
 
-    def noted(path, mode="r", **options):
-        modes.append(mode)
-        return open(path, mode, **options)  # noqa: PTH123 - the method itself is replaced
+    opened = os.open
 
-    monkeypatch.setattr(Path, "open", noted)
+    def noted(path, flags, *options):
+        modes.append(flags & os.O_ACCMODE)
+        return opened(path, flags, *options)
+
+    monkeypatch.setattr(os, "open", noted)
     assert is_being_written(record.folder)
     record.close()
     assert not is_being_written(record.folder)
-    assert modes == ["rb", "rb"]
+    assert modes == [os.O_RDONLY, os.O_RDONLY]
     events.unlink()
     assert not is_being_written(record.folder)
     assert not events.exists()

@@ -12,6 +12,7 @@ from typing import Any
 from bench.panel.access.people import Role
 from bench.panel.access.store import Access
 from bench.panel.app import make_app
+from bench.panel.serving import config_of
 from bench.panel.settings import STATE, Settings
 
 
@@ -51,10 +52,7 @@ def served(runs: Path) -> Iterator[ServedPanel]:
         listener.bind(("127.0.0.1", 0))
         listener.listen(64)
         port = listener.getsockname()[1]
-        config = uvicorn.Config(
-            make_app(Settings(runs, port=port)), log_level="warning", timeout_graceful_shutdown=1
-        )
-        server = uvicorn.Server(config)
+        server = uvicorn.Server(config_of(make_app(Settings(runs, port=port))))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
         thread.start()
         while not server.started:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -27,7 +28,10 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
         sentence = (
             f"channel {axis}: scale factor {found:.4g} V/g, but the bench file announces {announced:.4g} V/g"
         )
-        if most != axis:
+        prefix = round(math.log10(abs(found / announced)) / 3) if found else 0
+        if prefix and abs(math.log10(abs(found / announced)) - 3 * prefix) < 0.3:
+            sentence += f"; are the signals in {'mV' if prefix == 1 else 'another unit'}, and not in V?"
+        elif most != axis:
             sentence += f"; it answers most to {most}: are two channels or installations swapped?"
         elif found * announced < 0 and result.triangular is None:
             sentence += "; is the pair of wires reversed?"

@@ -16,6 +16,7 @@ import numpy as np
 from bench.analysis.calibration.calibrate import usable_rows
 from bench.analysis.calibration.design import Problem, make_problem
 from bench.analysis.calibration.gls import noise_floor
+from bench.analysis.calibration.signal_units import WrongUnit, sheet_of, wrong_unit
 from bench.analysis.mistakes.describing import Description, Situation, descriptions, examine, situation, weigh
 from bench.analysis.mistakes.gross import GrossMistake, GrossSearch
 from bench.analysis.mistakes.reinterpretation import Oriented
@@ -24,6 +25,9 @@ from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.mistaken import MistakeName
 from bench.readings.table import Readings
+
+CERTAIN: Final = 1e-300
+"""The p of what no chance does: signals all a power of 1000 off."""
 
 MOST: Final = 5
 """Mistakes of each of the two kinds that are put right one after another."""
@@ -42,8 +46,8 @@ class Mistake:
     """A mistake, where it was made, and how the copy has it put right.
 
     `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
-    shifted_points, wrong_setting, outlier. No installation named means the whole run; they are written as
-    `str(Mount)`. `words` is a sentence; `p` counts all looks. `cannot_tell_from` are names of what looks
+    shifted_points, wrong_setting, outlier, wrong_unit. No installation named means the whole run; they are written
+    as `str(Mount)`. `words` is a sentence; `p` counts all looks. `cannot_tell_from` are names of what looks
     exactly alike in these readings ("other_mounting": the block sat on the platform otherwise).
     """
 
@@ -91,7 +95,10 @@ def find_mistakes(
     stage = _Stage(model, stand_u, GrossSearch(model.installations, nominal, float(np.linalg.norm(limits))))
     found: list[Mistake] = []
     copies = [readings]
-    looks = 0
+    looks = 1
+    if (unit := wrong_unit(readings, model, _sheet(readings.unit, nominal))) is not None:
+        found.append(_unit_mistake(unit))
+        copies.append(unit.corrected(readings))
     for _ in range(MOST):
         table = Oriented.of(copies[-1])
         gross, more = stage.gross.find(table)
@@ -146,6 +153,23 @@ class _Stage:
         block, sheet = self.gross.first_guess(table)
         floor = noise_floor(table.signal, readings.resolution, problem.free)
         return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
+
+
+def _sheet(unit: str, nominal: Floats | None) -> Sequence[float] | None:
+    return sheet_of(unit, ()) if nominal is None else nominal.tolist()
+
+
+def _unit_mistake(unit: WrongUnit) -> Mistake:
+    return Mistake(
+        name=MistakeName.WRONG_UNIT,
+        channels=unit.channels,
+        installations=() if unit.installation is None else (unit.installation,),
+        pass_number=unit.pass_number,
+        point=None,
+        words=f"{unit.words}; the copy has them in the unit of the file",
+        p=CERTAIN,
+        cannot_tell_from=(),
+    )
 
 
 def _gross_mistake(gross: GrossMistake) -> Mistake:

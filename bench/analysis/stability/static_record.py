@@ -11,6 +11,8 @@ import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
+from bench.base.numbers import read_number
+from bench.base.visible import shortened
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError, split_table
 from bench.readings.numbers import OVERLOAD
 from bench.readings.table import UNITS
@@ -127,9 +129,9 @@ def _row(
     for k, (place, name) in enumerate(zip(places, names, strict=True)):
         text = cells[place].strip() if place < len(cells) else ""
         try:
-            values[k] = float(text)
+            values[k] = read_number(text)
         except ValueError:
             values[k] = math.nan
         if not abs(values[k]) < OVERLOAD:
-            bad.append(f"{path}, line {line}, column {name}: expected a number, got {text!r}")
+            bad.append(f"{path}, line {line}, column {name}: expected a number, got {shortened(text)!r}")
     return values

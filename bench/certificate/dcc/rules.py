@@ -16,6 +16,8 @@ import numpy as np
 from lxml import etree
 
 from bench.api.coefficients import impossible
+from bench.base.visible import shortened
+from bench.base.words import repeated
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, VERSION, Node
 from bench.certificate.dcc.units import read_unit
 from bench.certificate.laboratory import SIMULATED_SERIES
@@ -66,11 +68,11 @@ _CONTENT: Final = {
 }  # fmt: skip
 """Children by element, in their order: `?` none or one, `*` any number, `+` one at least; all others hold text."""
 
-_NUMBER: Final = r"[-+]?((\d*\.\d+)|(\d+\.\d*)|(\d+\.?))([Ee][-+]?\d+)?|NaN"
-_SIZE: Final = r"\+?((\d*\.\d+)|(\d+\.\d*)|(\d+\.?))([Ee][-+]?\d+)?|NaN"
-_K: Final = r"\+?([1-9]\d*(\.\d*)?)"
-_P: Final = r"\+?((0(\.\d*)?)|(1(\.0*)?))"
-_DAY: Final = r"\d{4}-\d\d-\d\d"
+_NUMBER: Final = r"[-+]?(([0-9]*\.[0-9]+)|([0-9]+\.[0-9]*)|([0-9]+\.?))([Ee][-+]?[0-9]+)?|NaN"
+_SIZE: Final = r"\+?(([0-9]*\.[0-9]+)|([0-9]+\.[0-9]*)|([0-9]+\.?))([Ee][-+]?[0-9]+)?|NaN"
+_K: Final = r"\+?([1-9][0-9]*(\.[0-9]*)?)"
+_P: Final = r"\+?((0(\.[0-9]*)?)|(1(\.0*)?))"
+_DAY: Final = r"[0-9]{4}-[0-9][0-9]-[0-9][0-9]"
 _STATUS: Final = "pass|fail|conditionalPass|conditionalFail|noPass|noFail"
 
 _SPELT: Final = {
@@ -225,10 +227,8 @@ def _simulation(root: Node) -> Iterator[str]:
 
 def _references(root: Node) -> Iterator[str]:
     """No name is given twice, files are there whole, statements are as many as points."""
-    names = [one.get("id") for one in _elements(root) if one.get("id") is not None]
-    for name in dict.fromkeys(names):
-        if names.count(name) > 1:
-            yield f"the id {name!r} stands twice"
+    for name in repeated(one.get("id", "") for one in _elements(root) if one.get("id") is not None):
+        yield f"the id {shortened(repr(name))} stands twice"
     for element in root.iter(f"{{{DCC}}}dataBase64"):
         try:
             base64.b64decode(element.text or "", validate=True)

@@ -16,6 +16,7 @@ from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
 from bench.api.errors import Refused
 from bench.api.verification import NOTHING_ASKED, Asked
+from bench.base.regular import read_regular
 from bench.certificate.content import Found
 from bench.certificate.gather import found_by
 from bench.certificate.register import ISSUED, LINES, Register
@@ -55,7 +56,7 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
         return Held(wrong="the seal in the digital certificate cannot be read")
     except (RecordError, OSError):
         return None
-    if seal.manifest_sha256 != sha256((run.folder / MANIFEST).read_bytes()):
+    if seal.manifest_sha256 != sha256(read_regular(run.folder / MANIFEST)):
         return None
     if differences:
         return Held(wrong=f"{folder}: {'; '.join(differences)}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+import math
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -24,6 +25,9 @@ from bench.devices.chambers import TemperatureRange
 from bench.files.bench.rails import UnitSupplySection
 from bench.model import Distribution, Installation
 from bench.model.gravity import normal_gravity_m_s2
+
+LARGEST_RAD: Final = math.radians(2.0)
+"""An error of the stand has no larger limit: one in a hundred of g along a level axis is 0.6 deg."""
 
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 
@@ -109,10 +113,19 @@ class ErrorSize(FileModel):
         return Distribution(self.limit, self.distribution, 1.0 if self.k is None else self.k)
 
 
-class AngleError(ErrorSize):
-    """An angle of the stand, rad."""
+def _of_a_bench(limit_rad: float) -> float:
+    if limit_rad > LARGEST_RAD:
+        raise ValueError(
+            f"an error of {math.degrees(limit_rad):.3g} deg is no limit of a bench, which is "
+            f"{math.degrees(LARGEST_RAD):g} deg at most; are arcsec or arcmin meant?"
+        )
+    return limit_rad
 
-    limit: SizeRad
+
+class AngleError(ErrorSize):
+    """An angle of the stand, rad: so small that its sine is the angle."""
+
+    limit: Annotated[SizeRad, AfterValidator(_of_a_bench)]
 
 
 class VoltageError(ErrorSize):

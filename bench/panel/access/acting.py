@@ -6,10 +6,11 @@ import secrets
 from typing import Final
 from urllib.parse import parse_qsl
 
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 
 from bench.base.whole import from_text
 from bench.panel.access.people import Person, Refusal, Role
+from bench.panel.connections import LOG
 from bench.panel.panel import Panel
 
 MOST_FIELDS: Final = 40
@@ -50,7 +51,11 @@ async def acting(request: Request, least: Role) -> tuple[Person, dict[str, str]]
 
 async def fields(request: Request) -> dict[str, str]:
     """Return the fields of a form, or of a JSON object of texts. Raises `Refusal` for anything else."""
-    body = await request.body()
+    try:
+        body = await request.body()
+    except ClientDisconnect:
+        LOG.warning("a request ended before its body; further ones within a minute are not written here")
+        raise Refusal(400, "the request ended before its body") from None
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     try:
         if kind == "application/json":
@@ -61,6 +66,8 @@ async def fields(request: Request) -> dict[str, str]:
             raise Refusal(415, "a form or a JSON object is taken")
     except ValueError:
         raise Refusal(400, "what was sent is no form and no JSON that can be read") from None
+    if isinstance(given, dict) and len(given) > MOST_FIELDS:
+        raise Refusal(400, f"at most {MOST_FIELDS} fields are taken")
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
         raise Refusal(400, "a JSON object whose values are texts is taken")
     return given

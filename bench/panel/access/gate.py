@@ -67,6 +67,8 @@ class Gate:
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
             return Refusal(403, "this change was asked for by a page that is not the panel's")
         length = headers.get("content-length", "0")
+        if "content-length" in headers and "transfer-encoding" in headers:
+            return Refusal(400, "a request has Content-Length or Transfer-Encoding, not both")
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
             return Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
         return None

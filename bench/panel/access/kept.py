@@ -12,6 +12,7 @@ from typing import Any
 
 from filelock import FileLock
 
+from bench.base.regular import read_regular
 from bench.base.whole import from_text, to_text, write_whole
 from bench.run.manifest import RecordError
 
@@ -47,7 +48,7 @@ class KeptList:
             found = self._path.stat()
             stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
             if stamp != self._stamp:
-                rows = from_text(self._path.read_bytes())
+                rows = from_text(read_regular(self._path))
                 if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
                     raise ValueError
                 self._rows, self._stamp = rows, stamp

@@ -20,7 +20,8 @@ LINKS: Final = "links.json"
 SESSIONS: Final = "sessions.json"
 LONGEST_SESSION: Final = timedelta(days=7)
 LONGEST_LINK: Final = timedelta(minutes=30)
-MOST_SESSIONS: Final = 500
+MOST_SESSIONS: Final = 20
+"""Sessions of one person; the oldest ends when another begins."""
 MOST_LINKS: Final = 50
 LONGEST_NAME: Final = 60
 
@@ -105,8 +106,11 @@ class Access:
             "made": self._now().isoformat(),
         }
         with self._sessions.changed() as rows:
-            rows.append(row)
-            rows[:] = [row for row in rows if not self._older(row, LONGEST_SESSION)][-MOST_SESSIONS:]
+            kept = [row for row in rows if not self._older(row, LONGEST_SESSION)]
+            own = [row for row in kept if (row["name"], row["token"]) == (name, token)]
+            for oldest in own[: max(0, len(own) + 1 - MOST_SESSIONS)]:
+                kept.remove(oldest)
+            rows[:] = [*kept, row]
         return Person(name, role, secret)
 
     def person(self, secret: str) -> Person | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from bench.base.collecting import uncollected
+from bench.base.regular import open_regular
 from bench.run.events import Event, EventType
 from bench.run.history import parse_line
 from bench.run.manifest import EVENTS, RecordError
@@ -42,7 +43,7 @@ class Tail:
         Raises `RecordError` where the record is not one that has only grown.
         """
         try:
-            with self._path.open("rb") as file, uncollected():
+            with open_regular(self._path) as file, uncollected():
                 size = file.seek(0, SEEK_END)
                 if size < self._read:
                     raise RecordError(f"{self._path}: is shorter than it was; another program changed it")

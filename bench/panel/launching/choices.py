@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Final
 
+from bench.base.regular import open_regular
 from bench.files.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access.people import Refusal
 from bench.panel.folder import RunsFolder
@@ -76,7 +77,7 @@ def _yaml(folder: Path) -> list[Path]:
 
 def _beginning(file: Path) -> bytes:
     try:
-        with file.open("rb") as stream:
+        with open_regular(file) as stream:
             return stream.read(BEGINNING)
     except OSError:
         return b""

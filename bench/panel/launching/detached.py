@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from bench.base.regular import open_regular
 from bench.base.visible import visible
 from bench.panel.access.people import Refusal
 from drivers.clock import Clock, SystemClock
@@ -73,7 +74,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
 def last_words(log: Path) -> str:
     """Return the end of what a process has written into its file."""
     try:
-        with log.open("rb") as file:
+        with open_regular(log) as file:
             file.seek(max(file.seek(0, 2) - LAST_WORDS, 0))
             return visible(file.read().decode(errors="replace")).strip()
     except OSError:

@@ -14,6 +14,7 @@ from typing import Any
 from bench.api.errors import Refused
 from bench.api.outlook import look_ahead
 from bench.base.forms import FileMistakes
+from bench.base.regular import read_regular
 from bench.base.whole import from_text
 from bench.panel.launching.detached import BENCH, last_words
 from bench.panel.launching.wish import Found, Wanted, WishFolder
@@ -59,7 +60,7 @@ def tried(wish: WishFolder, found: Found) -> Found:
 
 def _result(file: Path) -> dict[str, Any] | None:
     try:
-        told = from_text(file.read_bytes())
+        told = from_text(read_regular(file))
     except (OSError, ValueError):
         return None
     return told if isinstance(told, dict) else None

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from filelock import FileLock, Timeout
 
+from bench.base.regular import read_regular
 from bench.base.whole import from_text, to_text, write_whole
 from bench.panel.access.people import Refusal
 from bench.run.manifest import sha256
@@ -49,7 +50,7 @@ class Wanted:
 
     def _hashes(self) -> dict[str, str]:
         try:
-            return {path: sha256(Path(path).read_bytes()) for path in (self.procedure, self.bench)}
+            return {path: sha256(read_regular(Path(path))) for path in (self.procedure, self.bench)}
         except OSError as error:
             raise Refusal(409, f"{error.filename}: cannot be read ({error.strerror})") from error
 
@@ -130,13 +131,13 @@ class WishFolder:
     def started(self) -> str:
         """Return which run was started of it, empty where none was."""
         try:
-            return (self.path / STARTED).read_text(encoding="utf-8")
+            return read_regular(self.path / STARTED).decode()
         except OSError:
             return ""
 
     def _read(self, name: str) -> dict[str, Any]:
         try:
-            told = from_text((self.path / name).read_bytes())
+            told = from_text(read_regular(self.path / name))
         except (OSError, ValueError):
             told = None
         if not isinstance(told, dict):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import AsyncIterator
+from typing import Final
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
@@ -14,6 +15,9 @@ from bench.panel.access.people import Refusal
 from bench.panel.pages.shown import page
 from bench.run.answers import AskedPrompt, problem_with_answer, understood_answer
 from bench.run.folder import Run
+
+MOST_STREAMS: Final = 30
+"""Live pages of one person at a time: each holds a connection."""
 
 
 def run_of(request: Request) -> Run:
@@ -37,21 +41,30 @@ async def state(request: Request) -> Response:
 
 async def stream(request: Request) -> Response:
     """Send what is told of a run whenever it changes, as server-sent events."""
-    found = run_of(request)
+    found, name, streams = run_of(request), looking(request).name, panel_of(request).streams
+    if streams[name] >= MOST_STREAMS:
+        raise Refusal(429, f"{name} has {MOST_STREAMS} live pages open; close one")
     events = panel_of(request).followers.stream(found.folder)
     return StreamingResponse(
-        _as_long_as_signed_in(request, events),
+        _as_long_as_signed_in(request, events, name),
         media_type="text/event-stream",
         headers={"x-accel-buffering": "no"},
     )
 
 
-async def _as_long_as_signed_in(request: Request, events: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-    """Pass on what is sent until the person signs out, or the token is taken back."""
-    async for event in events:
-        if person_of(request) is None:
-            return
-        yield event
+async def _as_long_as_signed_in(
+    request: Request, events: AsyncIterator[bytes], name: str
+) -> AsyncIterator[bytes]:
+    """Pass on what is sent until the person signs out, or the token is taken back; count the person's streams."""
+    streams = panel_of(request).streams
+    streams[name] += 1
+    try:
+        async for event in events:
+            if person_of(request) is None:
+                return
+            yield event
+    finally:
+        streams[name] -= 1
 
 
 async def check_answer(request: Request) -> Response:

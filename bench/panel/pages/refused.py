@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from bench.base.extras import missing
-from bench.base.visible import visible
+from bench.base.visible import bounded, visible
 from bench.panel.access.people import Refusal
 from bench.panel.pages.shown import page
 
@@ -24,13 +24,13 @@ def wants_json(request: Request) -> bool:
 def refused(request: Request, refusal: Refusal) -> Response:
     """Answer with why a request is refused; who only has to sign in is led there."""
     if wants_json(request):
-        return JSONResponse({"problem": visible(refusal.text)}, status_code=refusal.status)
+        return JSONResponse({"problem": visible(bounded(refusal.text))}, status_code=refusal.status)
     if refusal.status == HTTPStatus.UNAUTHORIZED and request.method == "GET":
         return RedirectResponse(
             f"/sign-in?next={quote(request.scope['path'], errors='replace')}", status_code=303
         )
     title = HTTPStatus(refusal.status).phrase
-    return page(request, "refused.html.j2", status=refusal.status, title=title, text=refusal.text)
+    return page(request, "refused.html.j2", status=refusal.status, title=title, text=bounded(refusal.text))
 
 
 def by_framework(request: Request, error: Exception) -> Response:
