@@ -72,9 +72,9 @@ class Order(StatedRule):
 
     `rule` and `guard_band` are the decision rule that was agreed with the customer, before what the record states
     (ISO/IEC 17025:2017, 7.1.3), `agreed` what else was; `without_certificates` why the customer takes results of
-    instruments that have none. `sampling` names plan and method where units were chosen out of many, by whom;
-    without it the units are those that the customer gave. `external` are results of other bodies, `supplied` data of the
-    customer.
+    instruments that have none. `sampling` names plan and method where units were chosen out of many, and by whom;
+    without it the units are those that the customer gave. `external` are results of other bodies, `supplied` data
+    of the customer.
     """
 
     customer: Contact
