@@ -120,8 +120,8 @@ class Reading:
         """Raise `ValueError` or `TypeError` where what is reckoned with is no number, or not as many."""
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
             raise ValueError("a reading has three channels")
-        for number in (self.series, self.pass_number, self.point, self.samples_taken):
-            if type(number) is not int or not 0 <= number < _LARGEST:
+        for count in (self.series, self.pass_number, self.point, self.samples_taken):
+            if type(count) is not int or not 0 <= count < _LARGEST:
                 raise ValueError("series, pass, point and samples of a reading are whole numbers")
         if self.direction not in (0, 1, -1):
             raise ValueError("a direction is 1, -1 or 0")
