@@ -120,10 +120,14 @@ class Reading:
         """Raise `ValueError` or `TypeError` where what is reckoned with is no number, or not as many."""
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
             raise ValueError("a reading has three channels")
-        if not type(self.series) is type(self.pass_number) is type(self.point) is int:
-            raise ValueError("series, pass and point of a reading are whole numbers")
-        if not type(self.installation) is type(self.unit) is type(self.scan_order) is str:
-            raise ValueError("a text of a reading is none")
+        for count in (self.series, self.pass_number, self.point, self.samples_taken):
+            if type(count) is not int or not 0 <= count < _LARGEST:
+                raise ValueError("series, pass, point and samples of a reading are whole numbers")
+        if self.direction not in (0, 1, -1):
+            raise ValueError("a direction is 1, -1 or 0")
+        for text in (self.installation, self.unit, self.scan_order, self.temperature_source):
+            if type(text) is not str:
+                raise ValueError("a text of a reading is none")
         may_be = (
             self.angle_deg,
             self.target_deg,
@@ -145,6 +149,8 @@ _WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c")
 
 _KEYS: Final = {"pass_number": "pass"}
 """What is called otherwise in the record."""
+
+_LARGEST: Final = 2**31
 
 _RAILS: Final = "rails"
 """What is left out of the record where there is none."""

@@ -50,3 +50,16 @@ def test_a_table_has_what_was_not_given_as_nan_and_further_columns_where_any_rea
     assert np.degrees(table.angle_rad[0]) == pytest.approx(ROWS[0]["angle_deg"], abs=1e-12)
     assert table.extra["reference_v"].tolist() == ["", "5.0"]
     assert table.extra["scan_order"].tolist() == ["xyz", ""]
+
+
+@pytest.mark.parametrize(
+    "key", ["series", "pass", "point", "samples_taken", "direction", "mean", "unit", "time_s"]
+)
+@pytest.mark.parametrize("value", [{}, [1], "1", 1.5, True, 10**30, -7, float("nan")])
+def test_what_is_none_of_a_reading_is_refused_or_reckoned_with(key, value):
+    """Whoever makes the chain anew may write anything; a table is made of what is taken."""
+    try:
+        reading = Reading.from_json(ROWS[0] | {key: value})
+    except (KeyError, TypeError, ValueError):
+        return
+    assert len(readings_of([reading], "memory")) == 1
