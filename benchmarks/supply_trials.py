@@ -12,7 +12,6 @@ from unittest import mock
 import yaml
 
 import bench.assembly.served
-import bench.cli.resume
 import bench.cli.run
 from bench.run.folder import Run
 from benchmarks.fault_trials import ROOT, VALUE_V, command, exact
@@ -220,7 +219,6 @@ def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
     with (
         mock.patch.object(bench.assembly.served, "SimulatedBench", watch),
         mock.patch.object(bench.cli.run, "conclude", _no_page),
-        mock.patch.object(bench.cli.resume, "conclude", _no_page),
     ):
         yield watch
 
