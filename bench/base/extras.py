@@ -12,7 +12,7 @@ from typing import Final
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "pandas": ("pandas",),
     "signing": ("cryptography", "rfc3161_client"),
-    "panel": ("starlette", "uvicorn"),
+    "panel": ("starlette", "uvicorn", "h11"),
     "certificate": ("typst", "lxml", "signxml", "pyhanko", "pyhanko_certvalidator", "asn1crypto", "pikepdf"),
     "catalogue": ("sqlalchemy", "alembic", "pyarrow", "duckdb"),
     "postgresql": ("psycopg",),

@@ -215,7 +215,12 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
 
 
 def is_still_to_be_read(plan: Plan, progress: Progress, step: int) -> bool:
-    """Whether a reading is still to come before the block is mounted next, from `step` on."""
+    """Whether a reading is still to come before the block is mounted next, from `step` on.
+
+    One that stopped the run by an early sign may be redone.
+    """
+    if progress.doubt is not None:
+        return True
     for index in range(step, len(plan.steps)):
         if not progress.settled(index) and isinstance(plan.steps[index], Mount | Read):
             return isinstance(plan.steps[index], Read)

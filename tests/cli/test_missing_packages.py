@@ -130,5 +130,5 @@ def test_every_package_that_is_imported_comes_with_the_program_or_is_known_with_
 
 
 def test_a_package_that_no_extra_has_is_no_matter_of_installing():
-    assert missing(ModuleNotFoundError(name="h11")) == ""
+    assert missing(ModuleNotFoundError(name="h2")) == ""
     assert missing(ValueError("pandas")) == ""

@@ -91,13 +91,15 @@ def calibrate(
     fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
     accepted = fit_test.accepted()  # else readings that are far off are off from a wrong model
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
+    alone = fit.covariance
     shared = take_in(problem, fit, readings.unit, floor) if find_shared else Shared(fit)
     fit = shared.fit
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
     birge = _birge(fit_test, shared)
     covariance = birge**2 * fit.covariance[:FIXED, :FIXED]
-    mistakes.refuse_singular(fit.block, u_of(covariance))
+    # what repeats share of a misfit is no noise in which a channel could be lost
+    mistakes.refuse_singular(fit.block, u_of(covariance if accepted else alone[:FIXED, :FIXED]))
     return Calibration(
         estimator=by.name,
         unit=readings.unit,

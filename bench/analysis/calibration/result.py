@@ -28,9 +28,10 @@ Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
 """
 
 LACK_OF_FIT_P: Final = 0.01
+"""A model fits readings where chance leaves as much at least this often."""
+
 NOT_ACCEPTED_P: Final = 1e-4
 """Below it no calibration is accepted: its u widens with the misfit, but the cause is not known."""
-"""A model fits readings where chance leaves as much at least this often."""
 
 HARDLY_BETTER = 0.95
 """An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""
