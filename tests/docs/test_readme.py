@@ -103,7 +103,9 @@ def follow(words, bench):
         case ["bench", *rest]:
             status, out, err = bench(*rest)
             begun = rest[0] == "run" and "--dry-run" not in rest
-            judged = rest[0] in {"resume", "report"} or (rest[0] == "run" and "paper" not in rest)  # by a verdict
+            judged = rest[0] in {"resume", "report"} or (
+                rest[0] == "run" and "paper" not in rest
+            )  # by a verdict
             expected = {2} if begun else {0, 1} if judged else {0}
             assert status in expected, f"{' '.join(words)}: {status}\n{out}\n{err}"
             assert not begun or "bench resume" in err
