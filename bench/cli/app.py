@@ -56,9 +56,8 @@ def main(arguments: list[str] | None = None) -> None:
         status = app(typed or ["--help"], prog_name="bench", standalone_mode=False)
         if status == CTRL_C:
             status = _fail("stopped by Ctrl-C")
-    except KeyboardInterrupt as stop:
-        before = stop.__context__  # it may have come while another end was on its way here
-        status = _fail(explain(before) if isinstance(before, Refused) else "stopped by Ctrl-C")
+    except KeyboardInterrupt:
+        status = _fail("stopped by Ctrl-C")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = NOT_DONE

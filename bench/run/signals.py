@@ -8,6 +8,7 @@ the record, and one that came while the bench is left safe would leave it unsafe
 | the bench is at work              | raises, after any `shield` | shortens waiting         |
 | it is left safe (from `hold` on)  | shortens waiting           | shortens waiting         |
 | results are made (after `release`)| raises                     | ends the program at once |
+| an error is on its way to be told | nothing                    | nothing                  |
 """
 
 from __future__ import annotations
@@ -49,10 +50,12 @@ class Interrupts:
 
     Python drops what is raised in a weak reference's callback or in a `__del__`: it is raised again after that.
     `haste` is what a further signal asks of the instruments; `end` ends the program with a status. `any_heard` says
-    whether one was heard by any of them.
+    whether one was heard by any of them. Within another one, that of the whole program, an error that leaves the
+    context ends the program: until it is told, no signal is heard.
     """
 
     any_heard: ClassVar[bool] = False
+    _entered: ClassVar[int] = 0
 
     def __init__(self, numbers: Collection[int] = SIGNALS, end: Callable[[int], object] = os._exit) -> None:
         self.haste = Haste()
@@ -67,14 +70,18 @@ class Interrupts:
         self._told_before = sys.unraisablehook
 
     def __enter__(self) -> Interrupts:
+        Interrupts._entered += 1
         self._told_before, sys.unraisablehook = sys.unraisablehook, self._dropped
         for number in self._numbers:
             self._before[number] = signal.signal(number, self._handle)
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        Interrupts._entered -= 1
+        # an error that ends the program is told: no further signal takes its place
+        ending = Interrupts._entered > 0 and isinstance(error, Exception)
         for number, handler in self._before.items():
-            signal.signal(number, handler)
+            signal.signal(number, _unheard if ending else handler)
         sys.unraisablehook = self._told_before
 
     @contextmanager
@@ -133,6 +140,10 @@ class Interrupts:
             return
         self._heard = False
         _thread.start_new_thread(_interrupt_soon, ())
+
+
+def _unheard(number: int, frame: FrameType | None) -> None:
+    """Do nothing, and say nothing of a signal just before it, as Python does where it is set to be ignored."""
 
 
 def _interrupt_soon() -> None:

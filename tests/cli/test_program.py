@@ -34,16 +34,21 @@ def test_ctrl_c_is_a_line_and_later_ones_are_not_heard(handler, monkeypatch, cap
     assert capsys.readouterr().err == "bench: stopped by Ctrl-C\n"
 
 
-def test_ctrl_c_while_a_refusal_is_on_its_way_does_not_hide_it(monkeypatch, capsys):
-    def refused(*arguments, **options):
-        try:
-            raise Refused("interrupted; 3 readings are kept")
-        finally:
-            raise KeyboardInterrupt
+def test_no_signal_takes_the_place_of_a_refusal_on_its_way(handler, monkeypatch, capsys):
+    def refused(*arguments):
+        raise Refused("interrupted; 3 readings are kept")
 
-    monkeypatch.setattr(app, "app", refused)
-    with pytest.raises(SystemExit) as end:
-        app.main(["runs"])
+    def leave(interrupts, kind, error, trace):
+        leave_now(interrupts, kind, error, trace)
+        if kind is Refused:
+            interrupted()
+
+    leave_now = Interrupts.__exit__
+    monkeypatch.setattr(Interrupts, "__exit__", leave)
+    monkeypatch.setattr("bench.api.instruments.look_at", refused)
+    monkeypatch.setattr(sys, "argv", ["bench", "instruments", "--bench", "paper-stand"])
+    with Interrupts(), pytest.raises(SystemExit) as end:  # which gives all handlers back
+        program.main()
     assert end.value.code == 2
     assert capsys.readouterr().err == "bench: interrupted; 3 readings are kept\n"
 

@@ -14,7 +14,7 @@ import pytest
 
 from bench.run.folder import Run
 from bench.run.history import read_history
-from bench.run.signals import Interrupts
+from bench.run.signals import SIGNALS, Interrupts
 from tests.support.patience import PATIENCE_S, wait_for
 
 LONG = """\
@@ -66,6 +66,16 @@ def test_when_the_bench_is_safe_a_second_signal_ends_the_program_at_once(capsys)
                 os.kill(os.getpid(), signal.SIGTERM)
     assert ended == [2]
     assert capsys.readouterr().err == "bench: stopped before the results were made\n"
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_an_error_on_its_way_to_be_told_is_hidden_by_no_signal(number):
+    with Interrupts():
+        with pytest.raises(ValueError, match="why"), Interrupts():
+            raise ValueError("why")
+        os.kill(os.getpid(), number)
+    with Interrupts(), pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), number)
 
 
 class Hit:
