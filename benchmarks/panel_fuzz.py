@@ -29,7 +29,7 @@ from unittest import mock
 from bench.panel import connections
 from bench.panel.access.people import Role
 from bench.panel.access.store import Access
-from bench.panel.app import make_app
+from bench.panel.app import make_app, prepare
 from bench.panel.holding import JOURNAL
 from bench.panel.serving import config_of
 from bench.panel.settings import STATE, Settings
@@ -201,6 +201,7 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
         Outcome(),
         Requests(seed, place.actors, sorted(run.name for run in place.runs.iterdir())),
     )
+    prepare(place.app.state.panel)
     before, quarter = place.tree(), 0
     tracemalloc.start()
     with mock.patch(
