@@ -79,12 +79,11 @@ class Outcome:
 
     def times(self) -> Iterator[str]:
         """Yield what the requests took: the median, and those that took longest, by the clock and of CPU time."""
-        for by, name in enumerate(("of CPU", "by the clock")):
-            ranked = sorted(self.took, key=lambda one: one[1 - by], reverse=True)
-            yield f"{name}: median {1e3 * ranked[len(ranked) // 2][1 - by]:.1f} ms, longest"
-            yield from (
-                f"  {1e3 * s:.0f} ms ({1e3 * cpu:.0f} ms of CPU) {sent}" for s, cpu, sent in ranked[:TOLD]
-            )
+        for name, by_clock in (("of CPU", False), ("by the clock", True)):
+            ranked = sorted(((wall if by_clock else cpu), wall, cpu, sent) for wall, cpu, sent in self.took)
+            yield f"{name}: median {1e3 * ranked[len(ranked) // 2][0]:.1f} ms, longest"
+            for _, wall, cpu, sent in ranked[: -TOLD - 1 : -1]:
+                yield f"  {1e3 * wall:.0f} ms ({1e3 * cpu:.0f} ms of CPU) {sent}"
 
 
 class Place:
