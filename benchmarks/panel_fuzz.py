@@ -20,6 +20,7 @@ import tempfile
 import time
 import tracemalloc
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from unittest import mock
 from bench.panel import connections
 from bench.panel.access.people import Role
 from bench.panel.access.store import Access
-from bench.panel.app import make_app
+from bench.panel.app import make_app, prepare
 from bench.panel.holding import JOURNAL
 from bench.panel.serving import config_of
 from bench.panel.settings import STATE, Settings
@@ -66,8 +67,7 @@ Tree = dict[str, tuple[int, int]]
 class Outcome:
     """What became of the requests: `wrong` are sentences, `statuses` counts, `grown` bytes from a quarter on.
 
-    `slowest` are the requests with the seconds that each took and the CPU time of it, the slowest first; those of
-    the first twentieth, which load the pages, do not count.
+    `took` are the requests with the seconds that each took and the CPU time of it, s.
     """
 
     requests: int = 0
@@ -75,7 +75,15 @@ class Outcome:
     entitled: int = 0
     wrong: list[str] = field(default_factory=list)
     grown: int = 0
-    slowest: list[tuple[float, float, str]] = field(default_factory=list)
+    took: list[tuple[float, float, str]] = field(default_factory=list)
+
+    def times(self) -> Iterator[str]:
+        """Yield what the requests took: the median, and those that took longest, by the clock and of CPU time."""
+        for name, by_clock in (("of CPU", False), ("by the clock", True)):
+            ranked = sorted(((wall if by_clock else cpu), wall, cpu, sent) for wall, cpu, sent in self.took)
+            yield f"{name}: median {1e3 * ranked[len(ranked) // 2][0]:.1f} ms, longest"
+            for _, wall, cpu, sent in ranked[: -TOLD - 1 : -1]:
+                yield f"  {1e3 * wall:.0f} ms ({1e3 * cpu:.0f} ms of CPU) {sent}"
 
 
 class Place:
@@ -192,6 +200,7 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
         Outcome(),
         Requests(seed, place.actors, sorted(run.name for run in place.runs.iterdir())),
     )
+    prepare(place.app.state.panel)
     before, quarter = place.tree(), 0
     tracemalloc.start()
     with mock.patch(
@@ -210,8 +219,7 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
                 outcome.wrong.append(f"{request}: {type(error).__name__}: {error}")
                 continue
             took = time.perf_counter() - begun[0], time.process_time() - begun[1]
-            if number >= count // 20:  # before that pages are loaded that were never asked for
-                outcome.slowest = sorted([*outcome.slowest, (*took, str(request))], reverse=True)[:TOLD]
+            outcome.took.append((*took, str(request)))
             outcome.requests += 1
             outcome.statuses[status] += 1
             outcome.entitled += request.entitled
@@ -304,8 +312,7 @@ def main() -> None:
         wrong = outcome.wrong + asyncio.run(served(place, asked.socket, asked.seed))
     print(f"{outcome.requests} requests, {outcome.entitled} with the right to; {asked.socket} raw ones")
     print("statuses: " + ", ".join(f"{status}: {n}" for status, n in sorted(outcome.statuses.items())))
-    for seconds, cpu, request in outcome.slowest:
-        print(f"slowest: {1e3 * seconds:.0f} ms ({1e3 * cpu:.0f} ms of CPU) {request}")
+    print("\n".join(outcome.times()))
     print(f"memory since a quarter of them: {outcome.grown / 1e6:+.2f} MB")
     for sentence in wrong[:20]:
         print(f"WRONG {sentence}")

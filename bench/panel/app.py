@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from importlib import import_module
+from typing import Final
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -13,7 +15,9 @@ from starlette.routing import Route
 
 from bench.api.errors import Refused
 from bench.base.forms import FileMistakes
-from bench.panel import assets
+from bench.files.bench.file import load_bench
+from bench.files.shipped import find_bench
+from bench.panel import assets, look
 from bench.panel.access.gate import Gate
 from bench.panel.access.people import Refusal
 from bench.panel.pages import catalogue, check, control, live, refused, runs, sign_in, start, verdict
@@ -63,7 +67,7 @@ def make_app(settings: Settings) -> Starlette:
     panel = Panel(settings)
     app = Starlette(
         routes=ROUTES,
-        lifespan=_reading(panel),
+        lifespan=_preparing(panel),
         middleware=[Middleware(Gate, settings=settings, refuse=refused.refused)],
         exception_handlers={
             HTTPException: refused.by_framework,
@@ -75,12 +79,39 @@ def make_app(settings: Settings) -> Starlette:
     return app
 
 
-def _reading(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[None]]:
-    """Return what reads the runs once while the panel begins to serve, so that the first page need not."""
+LATE: Final = (
+    "bench.analysis.calibration.conformity",
+    "bench.analysis.calibration.verdict_words",
+    "bench.api.chart_sources",
+    "bench.api.check_block",
+    "bench.api.left_runs",
+    "bench.report.control_chart",
+)
+LATE_OF_CATALOGUE: Final = (
+    "bench.catalogue.answers",
+    "bench.catalogue.store",
+    "bench.catalogue.unit",
+    "bench.report.unit",
+)
+"""What pages import when they are first asked for: a second's work, which a program that only asks is spared."""
+
+
+def prepare(panel: Panel) -> None:
+    """Load what the first pages would load, and read the runs once, so that nobody waits for it."""
+    look.load()
+    load_bench(find_bench("paper-stand"))  # units and devices are loaded by the first file that names some
+    for name in LATE + LATE_OF_CATALOGUE * bool(panel.settings.catalogue):
+        with suppress(ImportError):  # an extra that is missing is told by the page that needs it
+            import_module(name)
+    panel.table.read_all()
+
+
+def _preparing(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[None]]:
+    """Return what prepares the panel while it begins to serve."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        threading.Thread(target=panel.table.read_all, daemon=True).start()
+        threading.Thread(target=prepare, args=(panel,), daemon=True).start()
         yield
         panel.followers.close()
 

@@ -56,6 +56,14 @@ def _environment() -> Environment:
     return environment
 
 
+def load() -> None:
+    """Read and compile all templates and assets, so that no first page has to."""
+    for name in ASSETS:
+        asset(name)
+    for name in _environment().list_templates():
+        _environment().get_template(name)
+
+
 def page(name: str, **content: Any) -> str:
     """Return the page that a template makes of its content: all escaped, no character in it acts unseen.
 

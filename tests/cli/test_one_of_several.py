@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.schemas import keeps_to
+
 READINGS = Path(__file__).parents[1] / "data" / "records" / "readings.csv"
 
 
@@ -30,6 +32,10 @@ def test_the_others_are_done_in_their_order(bench, files, command):
     assert bad["source"] == "bad.csv"
     assert "column installation is missing" in bad["problem"]
     assert none == {"source": "none.csv", "problem": "none.csv: no such readings file; check the name"}
+    for one in (bad, none):
+        keeps_to("source-failed", one)
+    for one in (a, c):
+        keeps_to(command, one)
     assert a.keys() == c.keys()
     assert "problem" not in a
     told = [line for line in err.splitlines() if line.startswith("bench: ")]

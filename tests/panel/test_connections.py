@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import logging
+import shutil
 import socket
 
 import pytest
 
 from bench.panel import connections
+from bench.panel.access.gate import LARGEST_BODY
 from bench.panel.access.people import Role
 from bench.panel.access.store import MOST_SESSIONS, Access
 from bench.panel.connections import OncePerMinute
 from bench.panel.settings import STATE
-from tests.support.panel_client import OWN, stranger
+from benchmarks.panel_fuzz import RECORD as RECORDS
+from benchmarks.panel_fuzz import send
+from benchmarks.panel_requests import Request
+from tests.support.panel_client import OWN, Browser, stranger
 from tests.support.served_panel import served
 
 HEAD = "{} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n"
@@ -106,6 +112,19 @@ def test_a_length_and_an_encoding_together_are_refused(tmp_path):
     reply = stranger(tmp_path).post("/sign-in", content=b"token", headers=headers)
     assert reply.status_code == 400
     assert "Content-Length" in reply.text
+
+
+def test_a_body_sent_with_the_request_for_a_stream_is_dropped(tmp_path):
+    """A stream waits for its client to go away, and meets the body when its answer has begun."""
+    shutil.copytree(RECORDS / "finished", tmp_path / "runs" / "done")
+    anna = Browser(tmp_path / "runs", "anna")
+    (cookie,) = anna.client.cookies.items()
+    headers = [(b"host", b"127.0.0.1:8741"), (b"cookie", "=".join(cookie).encode())]
+    body = (b"x" * LARGEST_BODY,) * 3
+    request = Request("GET", "/runs/done/stream", b"", tuple(headers), body, entitled=False, who="anna")
+    status, heard = asyncio.run(send(anna.client.app, request))
+    assert status == 200
+    assert heard.startswith(b"event: state\n")
 
 
 def test_an_object_of_thousands_of_keys_is_refused_and_no_name_is_looked_for_twice(tmp_path):

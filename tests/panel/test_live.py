@@ -111,3 +111,11 @@ def test_a_damaged_record_is_said_in_a_sentence(client, runs):
     reply = client.get("/runs/done/")
     assert reply.status_code < 500
     assert "line 1: cannot be believed" in reply.text
+
+
+def test_a_stream_of_a_damaged_record_says_so_as_an_event(client, runs):
+    (runs / "done" / EVENTS).write_bytes(b"{}\n")
+    reply = client.get("/runs/done/stream")
+    assert reply.status_code == 200
+    assert reply.text.startswith("event: trouble\n")
+    assert "line 1: cannot be believed" in reply.text

@@ -8,6 +8,8 @@ setting among exchanged wires) are left out of it, at a price.
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -49,6 +51,9 @@ LEAST_OF_TWO: Final = 0.25
 """Two mistakes leave as much at least, g^2 over all readings; positions that tilt by a degree a tenth of it."""
 RAISED: Final = 2.0
 """The first of two mistakes, put right by itself, may raise the cost, but by no more than so many times."""
+
+LEAST_P: Final = sys.float_info.min
+"""Stands for every p below it: none is 0."""
 
 MOST_LEFT_OUT: Final = 4
 LEFT_OUT: Final = 50.0
@@ -135,7 +140,17 @@ class GrossSearch:
         if odds[best] - np.log(looks) <= np.log(ODDS):
             return None, looks
         cost = np.where(scores.cost < scores.cost[best], np.inf, scores.cost)
-        return self._with_equals(table, supposed, cost, best, looks * float(np.exp(-odds[best]))), looks
+        p = max(looks * float(np.exp(-odds[best])), LEAST_P)
+        return self._with_equals(table, supposed, cost, best, p), looks
+
+    def p_of_units(self, recorded: Oriented, right: Oriented, log_scaling: float, log_looks: float) -> float:
+        """Return the p of a copy with signals in their right unit: one over the odds for each look, 1 at most.
+
+        What is known of the block is known in the right unit. `log_scaling` is ln of the factor by which the copy
+        makes a volume of signals larger: densities of what was recorded are compared.
+        """
+        odds = self._log_evidence(right, right) + log_scaling - self._log_evidence(recorded, right)
+        return max(math.exp(min(log_looks - odds, 0.0)), LEAST_P)
 
     def first_guess(self, table: Oriented) -> tuple[Block, float]:
         """Return the block as the readings are recorded, and its distance from the data sheet, a chi-square."""

@@ -16,7 +16,7 @@ import numpy as np
 from bench.analysis.calibration.calibrate import usable_rows
 from bench.analysis.calibration.design import Problem, make_problem
 from bench.analysis.calibration.gls import noise_floor
-from bench.analysis.calibration.signal_units import WrongUnit, sheet_of, wrong_unit
+from bench.analysis.calibration.signal_units import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
 from bench.analysis.mistakes.describing import Description, Situation, descriptions, examine, situation, weigh
 from bench.analysis.mistakes.gross import GrossMistake, GrossSearch
 from bench.analysis.mistakes.reinterpretation import Oriented
@@ -25,9 +25,6 @@ from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.mistaken import MistakeName
 from bench.readings.table import Readings
-
-CERTAIN: Final = 1e-300
-"""The p of what no chance does: signals all a power of 1000 off."""
 
 MOST: Final = 5
 """Mistakes of each of the two kinds that are put right one after another."""
@@ -97,8 +94,8 @@ def find_mistakes(
     copies = [readings]
     looks = 1
     if (unit := wrong_unit(readings, model, _sheet(readings.unit, nominal))) is not None:
-        found.append(_unit_mistake(unit))
         copies.append(unit.corrected(readings))
+        found.append(_unit_mistake(unit, _p_of_unit(stage.gross, unit, *copies)))
     for _ in range(MOST):
         table = Oriented.of(copies[-1])
         gross, more = stage.gross.find(table)
@@ -159,7 +156,16 @@ def _sheet(unit: str, nominal: Floats | None) -> Sequence[float] | None:
     return sheet_of(unit, ()) if nominal is None else nominal.tolist()
 
 
-def _unit_mistake(unit: WrongUnit) -> Mistake:
+def _p_of_unit(gross: GrossSearch, unit: WrongUnit, recorded: Readings, right: Readings) -> float:
+    """Return the p of signals in another unit; a look is each prefix of each channel in each part of the table."""
+    table = Oriented.of(recorded)
+    parts = 1 + len(np.unique(table.pass_number)) + len(np.unique(table.label))
+    log_scaling = -PREFIX * np.log(10.0) * float(np.sum(unit.power[table.rows]))
+    log_looks = 3 * parts * np.log(len(PREFIXES))
+    return gross.p_of_units(table, Oriented.of(right), log_scaling, log_looks)
+
+
+def _unit_mistake(unit: WrongUnit, p: float) -> Mistake:
     return Mistake(
         name=MistakeName.WRONG_UNIT,
         channels=unit.channels,
@@ -167,7 +173,7 @@ def _unit_mistake(unit: WrongUnit) -> Mistake:
         pass_number=unit.pass_number,
         point=None,
         words=f"{unit.words}; the copy has them in the unit of the file",
-        p=CERTAIN,
+        p=p,
         cannot_tell_from=(),
     )
 

@@ -54,7 +54,8 @@ class Gate:
         if (refusal := self._refused(scope)) is not None:
             await self._refuse(Request(scope), refusal)(scope, receive, with_headers)
             return
-        await self._app(scope, counted(receive), with_headers)
+        taken = counted(receive) if scope["method"] == "POST" else without_body(receive)
+        await self._app(scope, taken, with_headers)
 
     def _refused(self, scope: Scope) -> Refusal | None:
         """Return why a request is refused by its head alone."""
@@ -87,3 +88,16 @@ def counted(receive: Receive) -> Receive:
         return message
 
     return bounded
+
+
+def without_body(receive: Receive) -> Receive:
+    """Return a receiver that drops a body: no page that is looked at reads one.
+
+    A stream, which waits for its client to go away, would meet it when its answer has begun: too late to refuse.
+    """
+
+    async def dropped() -> Message:
+        message = await receive()
+        return {**message, "body": b""} if message["type"] == "http.request" else message
+
+    return dropped

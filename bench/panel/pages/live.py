@@ -12,9 +12,11 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from bench.base.numbers import without_infinity
 from bench.panel.access.acting import looking, panel_of, person_of
 from bench.panel.access.people import Refusal
+from bench.panel.following.stream import as_event
 from bench.panel.pages.shown import page
 from bench.run.answers import AskedPrompt, problem_with_answer, understood_answer
 from bench.run.folder import Run
+from bench.run.manifest import RecordError
 
 MOST_STREAMS: Final = 30
 """Live pages of one person at a time: each holds a connection."""
@@ -55,7 +57,10 @@ async def stream(request: Request) -> Response:
 async def _as_long_as_signed_in(
     request: Request, events: AsyncIterator[bytes], name: str
 ) -> AsyncIterator[bytes]:
-    """Pass on what is sent until the person signs out, or the token is taken back; count the person's streams."""
+    """Pass on what is sent until the person signs out, or the token is taken back; count the person's streams.
+
+    A run that cannot be read is told as an event: the answer has begun, and cannot be a refusal any more.
+    """
     streams = panel_of(request).streams
     streams[name] += 1
     try:
@@ -63,6 +68,8 @@ async def _as_long_as_signed_in(
             if person_of(request) is None:
                 return
             yield event
+    except (RecordError, OSError) as error:
+        yield as_event("trouble", {"words": str(error)})
     finally:
         streams[name] -= 1
 

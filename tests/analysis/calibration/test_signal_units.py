@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,6 +88,16 @@ def test_a_calibration_refuses_signals_in_two_units_and_a_diagnosis_names_them(r
     assert first.words.startswith(words)
     assert first.pass_number == where.get("pass_number")
     assert first.evidence.after < 1e-2 * first.evidence.before or how.get("factor") == 1e-3
+
+
+def test_the_p_of_a_wrong_unit_comes_of_its_odds(readings):
+    """More readings make longer odds; a marker would be the same for all."""
+    few = readings.select(readings.point <= 3)
+    spoilt = scaled(few, channels=(1,), factor=1e-3)
+    (unit,) = find_mistakes(spoilt, MODEL, {}, np.array(SHEET)).mistakes
+    more = find_mistakes(scaled(readings, channels=(1,), factor=1e-3), MODEL, {}, np.array(SHEET)).mistakes[0]
+    assert unit.name == "wrong_unit"
+    assert unit.p > more.p > sys.float_info.min
 
 
 def test_where_the_units_are_right_nothing_is_said(readings):
