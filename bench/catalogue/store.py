@@ -231,8 +231,8 @@ def _told(where: str) -> Iterator[None]:
 
     try:
         yield
-    except (DBAPIError, UnicodeDecodeError) as error:
-        why = " ".join(str(getattr(error, "orig", "a text of it is none")).split())
+    except (DBAPIError, ValueError) as error:  # a text that is none, a date that is none
+        why = " ".join(str(getattr(error, "orig", "a value in it cannot be read")).split())
         if isinstance(error, OperationalError) and not why.startswith("no such "):
             raise Refused(
                 f"{where}: the catalogue cannot be used ({why}); check its place and the server"

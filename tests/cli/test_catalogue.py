@@ -179,3 +179,11 @@ def test_a_damaged_catalogue_says_so_and_what_to_do(bench):
             refused += 1
             assert "make it again with: bench catalogue sync DIR" in err
     assert refused >= 6
+
+
+def test_a_date_of_a_catalogue_that_is_none_is_damage(synced):
+    assert synced("catalogue", "sync", "runs", "--catalogue", "c.sqlite")[0] < 2
+    with sqlite3.connect("c.sqlite") as damaged:
+        damaged.execute("UPDATE runs SET created = '2026-11-22 02''11:14.876839'")
+    status, _, err = synced("catalogue", "ask", "--catalogue", "c.sqlite")
+    assert (status, "a damaged one" in err) == (2, True), err
