@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from bench.api.budget import budget as budget
     from bench.api.calibration import CalibrationResult as CalibrationResult
     from bench.api.calibration import Coefficient as Coefficient
-    from bench.api.chart_sources import chart as chart
     from bench.api.check_block import CheckBlockChart as CheckBlockChart
+    from bench.api.check_runs import chart as chart
     from bench.api.confirmation import ConfirmationResult as ConfirmationResult
     from bench.api.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.api.errors import Refused as Refused
@@ -50,7 +50,7 @@ _HOMES: Final = {
     "bench.analysis.calibration": ("CalibrationError",),
     "bench.api.budget": ("BudgetResult", "budget"),
     "bench.api.calibration": ("CalibrationResult", "Coefficient"),
-    "bench.api.chart_sources": ("chart",),
+    "bench.api.check_runs": ("chart",),
     "bench.api.check_block": ("CheckBlockChart",),
     "bench.api.confirmation": ("ConfirmationResult",),
     "bench.api.diagnosis": ("DiagnosisResult",),

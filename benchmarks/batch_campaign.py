@@ -40,7 +40,7 @@ import numpy as np
 from pyarrow import parquet
 
 from bench.batch.job import CALIBRATE, Job
-from bench.batch.listing import list_runs
+from bench.batch.store import list_runs
 from bench.batch.work import worked
 from bench.model.block import COEFFICIENTS
 

@@ -22,9 +22,9 @@ import GTC
 import numpy as np
 import uncertainties
 
+from bench.analysis.budget.acceleration import exact_monte_carlo
 from bench.analysis.budget.coefficients import make_budget
-from bench.analysis.budget.exact import exact_monte_carlo
-from bench.analysis.budget.linear_noise import linear_noise
+from bench.analysis.budget.propagation import linear_noise
 from bench.analysis.budget.setup import Setup, make_setup
 from bench.analysis.budget.sources import bench_sources
 from bench.analysis.calibration.closed_form import closed_form

@@ -16,9 +16,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
-from bench.analysis.intercomparison.capability import YEAR, capability
+from bench.analysis.intercomparison.capability import YEAR, Apart, capability
 from bench.analysis.intercomparison.crossed import EXCESS, Crossing, fit
-from bench.analysis.intercomparison.drifting import Apart
 from bench.analysis.intercomparison.measured import Measured
 from bench.base.arrays import Mask
 

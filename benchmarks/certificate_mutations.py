@@ -33,16 +33,14 @@ import pikepdf
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.whole import to_text
+from bench.base.atomic_files import to_text
 from bench.certificate.content import Issue
 from bench.certificate.dcc.document import document_of
 from bench.certificate.gather import certificate_of
-from bench.certificate.laboratory import load_laboratory
-from bench.certificate.order import load_order
-from bench.certificate.paper.body import body_of
-from bench.certificate.signature.pades import sign_pdf
+from bench.certificate.laboratory import load_laboratory, load_order
+from bench.certificate.paper.page import body_of
 from bench.certificate.signature.signatory import new_certificate_key, signatory_of
-from bench.certificate.signature.xades import NotIntact, check_xml, sign_xml
+from bench.certificate.signature.xades import NotIntact, check_xml, sign_pdf, sign_xml
 from bench.certificate.verify.verdict import verify_certificate
 from bench.files.shipped import CERTIFICATE, shipped_folder
 

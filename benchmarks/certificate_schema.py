@@ -22,11 +22,10 @@ from lxml import etree
 
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.rules import broken_rules, parser
-from bench.certificate.dcc.schema import Schemas, read_schemas
+from bench.certificate.dcc.rules import Schemas, broken_rules, parser, read_schemas
 from bench.certificate.gather import certificate_of
+from bench.certificate.laboratory import Adjusted
 from bench.certificate.life import Desk
-from bench.certificate.order import Adjusted
 from bench.certificate.signature.signatory import new_certificate_key, signatory_of
 from bench.certificate.signature.xades import sign_xml
 from bench.certificate.texts import texts_of

@@ -23,15 +23,16 @@ from unittest import mock
 import yaml
 
 from bench.api.left_runs import taken_up
-from bench.assembly.simulated import simulated_instruments, world_of
+from bench.assembly.instruments import simulated_instruments, world_of
 from bench.cli.app import main as bench_command
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
-from bench.panel.access.people import Role
-from bench.panel.launching import carrying
-from bench.panel.launching.detached import Started
+from bench.panel import launching
+from bench.panel.access import Role
+from bench.panel.launching import Started
 from bench.procedure.plan import Read
-from bench.run import asking, listening
+from bench.run import asking
+from bench.run import asking as listening
 from bench.run.answers import OpenPrompt
 from bench.run.events import Event
 from bench.run.folder import RESULTS, Run
@@ -140,7 +141,7 @@ class Desk:
         """Type a command; `trouble` comes over it at its `at`-th event."""
         before = self._lines()
         self._trouble, self._at, self._events, self._asked = trouble, at, 0, OpenPrompt()
-        self._away = carrying.ANSWERS in arguments
+        self._away = launching.ANSWERS in arguments
         out = io.StringIO()
         with (
             contextlib.redirect_stdout(out),
@@ -172,7 +173,7 @@ class Desk:
             started.put(None)
 
         said = Said(0, "")
-        with mock.patch.object(carrying, "start", start):
+        with mock.patch.object(launching, "start", start):
             thread = threading.Thread(target=pressed)
             thread.start()
             if (begun := started.get()) is not None:

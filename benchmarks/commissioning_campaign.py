@@ -32,7 +32,7 @@ from unittest import mock
 import yaml
 
 import bench.assembly.served
-from bench.api.commissioning import PAGE, Setting, commission
+from bench.api.instruments import PAGE, Setting, commission
 from bench.base.arrays import ARCSEC
 from bench.commission.cables import CABLE
 from bench.files.bench.file import load_bench
@@ -40,7 +40,7 @@ from benchmarks.fault_trials import ROOT, exact
 from drivers.interfaces import BenchError
 from sim.bench import OF_INSTRUMENT, SimulatedBench
 from sim.wires.faults import Fault, FaultKind
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
 
 TIMEOUT_S: Final = 0.5
 LATE_PART: Final = 0.8

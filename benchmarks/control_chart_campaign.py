@@ -17,11 +17,17 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.control_charts.components import ALIKE_P, components_of, short_term
-from bench.analysis.control_charts.design import Design
-from bench.analysis.control_charts.run_length import ewma_arl, mewma_arl, shewhart_arl
-from bench.analysis.control_charts.statistics import Basis, centre_of, judge
+from bench.analysis.control_charts.statistics import (
+    ALIKE_P,
+    Basis,
+    Design,
+    centre_of,
+    components_of,
+    judge,
+    short_term,
+)
 from bench.base.arrays import Floats
+from bench.stats.run_length import ewma_arl, mewma_arl, shewhart_arl
 
 P: Final = 12
 LATER: Final = 25

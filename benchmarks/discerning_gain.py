@@ -19,11 +19,11 @@ from bench.analysis.diagnosis.candidates import make_candidates
 from bench.analysis.diagnosis.evidence import Whitened
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
 from bench.analysis.diagnosis.naming import Found, name
+from bench.analysis.diagnosis.next_measurement import planned_readings
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
-from bench.analysis.diagnosis.planned import planned_readings
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.separation import EffectPart, Form, ReadingDesign
 from bench.analysis.diagnosis.threshold import make_threshold
+from bench.analysis.diagnosis.visibility import EffectPart, Form, ReadingDesign
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, ForwardModel

@@ -283,8 +283,8 @@ def _scpi(rng: random.Random) -> list[tuple[str, str]]:
 def _answers(rng: random.Random) -> list[tuple[str, str]]:
     """Answers at a prompt: the one that is taken fits, and all else is asked again, a wish, or a sentence."""
     from bench.base.tables import Screen
+    from bench.run.answers import ask
     from bench.run.control import OperatorWish
-    from bench.run.prompts import ask
     from bench.run.terminal import TerminalPerson
     from drivers.interfaces import BenchError, Prompt, PromptKind
 

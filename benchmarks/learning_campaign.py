@@ -30,8 +30,7 @@ from scipy.stats import binomtest
 from bench.analysis.calibration.batch import Batch, calibrate_batch
 from bench.analysis.learning.body import run_fit
 from bench.analysis.learning.learn import learn
-from bench.analysis.learning.meters import MeterRun, meter_differences
-from bench.analysis.learning.result import Learned
+from bench.analysis.learning.result import Learned, MeterRun, meter_differences
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation

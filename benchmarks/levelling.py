@@ -29,7 +29,7 @@ from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.procedure.plan import Level as LevelStep
-from bench.readings.levelled import Seen, with_levels
+from bench.readings.corrected import Seen, with_levels
 from bench.readings.table import make_readings
 from bench.run.levelling import Levelling
 from bench.run.workbench import Instruments

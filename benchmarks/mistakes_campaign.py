@@ -41,7 +41,7 @@ from bench.api.calibration import calibration_of
 from bench.api.errors import Refused
 from bench.api.execution import carry_out, new_run
 from bench.api.source import Request, load_sources
-from bench.assembly.simulated import operator_of, world_of
+from bench.assembly.instruments import operator_of, world_of
 from bench.base.arrays import Floats
 from bench.files.bench.file import BenchFile, load_bench
 from bench.model import ForwardModel
@@ -51,8 +51,8 @@ from bench.readings.reading import Reading
 from bench.run.events import Event, EventType, Mounted, result_to_json
 from bench.run.folder import Run
 from bench.run.mounting import mount_prompt
-from bench.run.watch.of_plan import watcher_of
-from bench.run.watch.sign import MOST_TOLD
+from bench.run.watch.early_warning import watcher_of
+from bench.run.watch.expectation import MOST_TOLD
 from benchmarks.blind_trial.score import Share
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
 from drivers.interfaces import CHANNELS

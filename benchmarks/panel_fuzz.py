@@ -27,8 +27,7 @@ from typing import Any
 from unittest import mock
 
 from bench.panel import connections
-from bench.panel.access.people import Role
-from bench.panel.access.store import Access
+from bench.panel.access import Access, Role
 from bench.panel.app import make_app, prepare
 from bench.panel.holding import JOURNAL
 from bench.panel.serving import config_of
@@ -203,9 +202,7 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
     prepare(place.app.state.panel)
     before, quarter = place.tree(), 0
     tracemalloc.start()
-    with mock.patch(
-        "bench.panel.launching.detached.subprocess.Popen", side_effect=OSError(12, "no process")
-    ) as popen:
+    with mock.patch("bench.panel.launching.subprocess.Popen", side_effect=OSError(12, "no process")) as popen:
         for number in range(count):
             if number == count // 4:
                 gc.collect()

@@ -22,9 +22,8 @@ from typing import Any
 
 import httpx
 
-from bench.panel.access.people import Role
-from bench.panel.access.store import Access
-from bench.panel.launching.detached import Started, start
+from bench.panel.access import Access, Role
+from bench.panel.launching import Started, start
 from bench.panel.serving import begin_panel, url_of
 from bench.panel.settings import STATE
 from bench.run.answers import open_prompt

@@ -18,9 +18,8 @@ from pathlib import Path
 
 import httpx
 
-from bench.panel.access.people import Role
-from bench.panel.access.store import Access
-from bench.panel.launching.detached import BENCH
+from bench.panel.access import Access, Role
+from bench.panel.launching import BENCH
 from bench.panel.serving import begin_panel, url_of
 from bench.panel.settings import STATE
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, urlencode
 
-from bench.panel.access.gate import LARGEST_BODY
-from bench.panel.access.people import Person, Role
+from bench.panel.access import LARGEST_BODY, Person, Role
 
 HOST = "127.0.0.1:8741"
 HOME = f"http://{HOST}"

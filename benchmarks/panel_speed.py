@@ -31,7 +31,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from bench.run.folder import Run
 from bench.run.manifest import EVENTS
 from bench.run.record import Record

@@ -16,9 +16,8 @@ from bench.analysis.budget.coefficients import make_budget
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import stand_source
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.planning.goals import Goal, coefficient_goals, vector_goal
-from bench.analysis.planning.points import Points, Sites, best_within, cheapest
-from bench.analysis.planning.procedure_text import Times
+from bench.analysis.planning.optimal_design import Goal, coefficient_goals, vector_goal
+from bench.analysis.planning.points import Points, Sites, Times, best_within, cheapest
 from bench.analysis.planning.settings import Setting, conditions_of, fitted, settings_of
 from bench.analysis.planning.stand import Stand
 from bench.base.arrays import Floats

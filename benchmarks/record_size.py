@@ -236,8 +236,7 @@ def copies(folder: Path, number: int) -> Path:
 
     The others are taken to have been seen, as they would be after minutes of reading the same again.
     """
-    from bench.run.digest import SETTLED_S, Digest, Digests
-    from bench.run.folder import Run
+    from bench.run.folder import SETTLED_S, Digest, Digests, Run
 
     many = folder.parent.with_name("many")
     for index in range(number):

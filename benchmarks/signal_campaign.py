@@ -33,12 +33,12 @@ from typing import IO, Any, Final
 
 import yaml
 
-from bench.assembly.simulated import simulated_instruments, world_of
+from bench.assembly.instruments import simulated_instruments, world_of
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel
 from bench.run.history import read_history
+from bench.run.interruptions import SIGNALS
 from bench.run.manifest import RecordError
-from bench.run.signals import SIGNALS
 from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.world.clock import ScaledClock

@@ -39,7 +39,7 @@ from bench.analysis.calibration.result import Calibration, Noise
 from bench.analysis.history.comparison import Snapshot, compare
 from bench.api.face import load_bench
 from bench.base.arrays import Floats
-from bench.files.bench.uncertainty import UncertaintySection
+from bench.files.bench.stand import UncertaintySection
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.supply_trials import FedOutcome, FedStand, FedTrial, carry_out, stands
-from sim.world.rails import Disturbance
+from sim.world.power import Disturbance
 
 SHORTEST_S: Final = 5.0
 """A shorter drop may come and go within a reading, between the looks before it and after it."""

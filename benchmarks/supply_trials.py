@@ -16,8 +16,7 @@ import bench.cli.run
 from bench.run.folder import Run
 from benchmarks.fault_trials import ROOT, VALUE_V, command, exact
 from sim.bench import SimulatedBench
-from sim.world.power import Power
-from sim.world.rails import Disturbance
+from sim.world.power import Disturbance, Power
 
 TIMEOUT: Final = "2 s"
 READBACK_V: Final = 0.01

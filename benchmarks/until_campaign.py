@@ -34,11 +34,9 @@ from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.calibrate import calibrate
 from bench.analysis.calibration.noise import LEAST_REPEATS
 from bench.analysis.calibration.result import Calibration
-from bench.analysis.planning.until.aim import reached_by
-from bench.analysis.planning.until.choice import REACHED, Choice, Chooser, Standing
+from bench.analysis.planning.until.choice import REACHED, Choice, Chooser, Standing, scale_of
 from bench.analysis.planning.until.design import Task, Visits
-from bench.analysis.planning.until.noise import scale_of
-from bench.analysis.planning.until.pool import Point
+from bench.analysis.planning.until.pool import Point, reached_by
 from bench.api.until import chooser_of
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure

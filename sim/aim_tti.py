@@ -19,7 +19,7 @@ from sim.wires.session import LineEnds
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.world.rails import Stage
+    from sim.world.power import Stage
     from sim.world.world import World
 
 _COMMAND: Final = re.compile(

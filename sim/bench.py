@@ -13,10 +13,8 @@ from drivers.interfaces import BenchError
 from sim.scpi.instrument import ScpiInstrument
 from sim.wires.faults import FaultKind, FaultyInstrument
 from sim.wires.prologix import GpibAdapter
-from sim.wires.pty import TerminalServer
-from sim.wires.server import TcpServer
-from sim.wires.session import ServedInstrument
-from sim.wires.traffic import Traffic
+from sim.wires.server import TcpServer, TerminalServer
+from sim.wires.session import ServedInstrument, Traffic
 from sim.world.clock import VirtualClock
 
 if TYPE_CHECKING:

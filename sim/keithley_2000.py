@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.keithley_2000 import facts
 from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal, reading_text
-from sim.agilent_34401a.cycle import MeasuringCycle
 from sim.agilent_34401a.functions import Function, FunctionSettings
+from sim.agilent_34401a.line import MeasuringCycle
 from sim.scpi.instrument import Command, ScpiInstrument
 from sim.scpi.status import ScpiError
 from sim.scpi.values import (

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from drivers.keysight_e36300 import facts
 from sim.scpi.instrument import Command, ScpiInstrument
-from sim.scpi.lists import OutputList, listed
 from sim.scpi.status import ScpiError
-from sim.scpi.values import DEF, MAX, MIN, Boolean, Number, Text, numbered, quoted, within
+from sim.scpi.values import DEF, MAX, MIN, Boolean, Number, OutputList, Text, listed, numbered, quoted, within
 from sim.supply import Outputs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sim.scpi.values import CommandParameter, Value
-    from sim.world.rails import Stage
+    from sim.world.power import Stage
     from sim.world.world import World
 
 _LEVEL: Final = "[:LEVel][:IMMediate][:AMPLitude]"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.world.rails import Shown, Stage
+    from sim.world.power import Shown, Stage
     from sim.world.world import World
 
 

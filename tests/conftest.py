@@ -21,7 +21,7 @@ def cache_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
     Thresholds of diagnoses are in it from the start.
     """
-    from bench.base.cache import cache_folder
+    from bench.base.files import cache_folder
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))

@@ -11,9 +11,9 @@ from functools import wraps
 from numbers import Integral, Real
 from typing import Any, Final, ParamSpec, TypeVar
 
+from bench.api.bench_selection import BenchTaken
 from bench.api.errors import Refused
 from bench.api.explained import sentence
-from bench.api.taken import BenchTaken
 from bench.base.visible import shortened, visible
 from bench.files.bench.file import BenchFile
 from bench.readings.table import Readings

@@ -1,7 +1,8 @@
-"""The whole uncertainty of coefficients over temperature: what their readings show, and what they do not."""
+"""Whole uncertainty of coefficients over temperature and of a tumble."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -9,9 +10,11 @@ import numpy as np
 
 from bench.analysis.budget.sources import assumed_stand
 from bench.analysis.budget.whole import sign
-from bench.analysis.calibration import calibrate
-from bench.analysis.calibration.source_of_error import SourceOfError
+from bench.analysis.calibration.calibrate import calibrate
+from bench.analysis.calibration.result import SourceOfError
 from bench.analysis.temperature.model import TemperatureModel
+from bench.analysis.tumble.terms import DEFAULT
+from bench.analysis.tumble.view import TumbleView, combine, tumble_view
 from bench.api.source import Source
 from bench.base.arrays import Floats
 from bench.model.block import COEFFICIENTS
@@ -55,3 +58,10 @@ def _with(model: TemperatureModel, sources: tuple[SourceOfError, ...]) -> Temper
     covariance: Floats = model.covariance.copy()
     covariance[np.ix_(constant, constant)] += hidden
     return replace(model, covariance=covariance)
+
+
+def tumble_of(source: Source, terms: Sequence[str] = DEFAULT) -> TumbleView:
+    """Return each axis of a source in the terms asked for. Raises `CalibrationError` where that cannot be."""
+    assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
+    view = tumble_view(source.readings, source.model, source.stand_u, source.g_m_s2, terms, assumed_u=assumed)
+    return combine(view, source.bench, source.model, terms, source.traced.day)

@@ -11,15 +11,15 @@ from rich.console import Console
 
 from bench.analysis.diagnosis import ThresholdCache
 from bench.analysis.diagnosis.confirm import Confirmation, confirm
-from bench.analysis.diagnosis.free_confirm import confirm_free
+from bench.analysis.diagnosis.free_positions import confirm_free
 from bench.analysis.diagnosis.free_result import OUTLIER, FreeDiagnosis
 from bench.analysis.mistakes.search import Mistake
-from bench.api.early_mistakes import put_right
+from bench.api.diagnosis import put_right
 from bench.api.errors import Refused
 from bench.api.free_diagnosis import free_sources
 from bench.api.own_effects import knowing_effects_of
 from bench.api.source import Source, data_sha256
-from bench.base.cache import cache_folder
+from bench.base.files import cache_folder
 from bench.base.numbers import without_infinity
 from bench.base.tables import as_text
 from bench.files.model import load_model

@@ -14,43 +14,41 @@ from typing import Final
 
 from rich.console import Console
 
-from bench.api.checked_before import checked_before
+from bench.api.bench_selection import bench_for_record, bench_path, why_taken
+from bench.api.check_runs import checked_before
 from bench.api.errors import Refused
 from bench.api.heard import Heard
 from bench.api.own_effects import effects_for_record, knowing_effects_on_record
 from bench.api.provenance import versions
 from bench.api.simulated_truth import simulated_truth
-from bench.api.taken import bench_for_record, bench_path, why_taken
 from bench.api.traceability import remarks
 from bench.api.until import noted_goals, until_of
 from bench.assembly.served import Assembly, dry_bench, real_bench
-from bench.base.progress import quiet
-from bench.base.whole import to_text, write_whole
-from bench.devices.chambers import ControlledChamberForm
+from bench.base.atomic_files import to_text, write_whole
+from bench.base.computing import quiet
+from bench.devices.sections import ControlledChamberForm
 from bench.files.bench.file import BenchFile, foreign_drivers, load_bench
 from bench.files.model import load_model
 from bench.files.shipped import find_procedure
 from bench.procedure.load import Procedure, check, load_procedure
-from bench.run.asking import Asker
-from bench.run.chamber_watch import SLOW_AFTER_S
-from bench.run.clock_watch import ClockWatch
+from bench.run.asking import Asker, WishListener
 from bench.run.control import ControlFile
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, RESULTS, Run, checked_name
 from bench.run.history import History, read_history
-from bench.run.listening import WishListener
-from bench.run.log import RunLog
+from bench.run.interruptions import ClockWatch, Interrupts
 from bench.run.manifest import Manifest, RecordError, VerdictAsked
 from bench.run.power import Feeding
 from bench.run.record import Record
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted, Runner
-from bench.run.signals import Interrupts
+from bench.run.sentences import RunLog
+from bench.run.settling import SLOW_AFTER_S
 from bench.run.terminal import ProgressBar, TerminalPerson
-from bench.run.watch.of_plan import watcher_of
+from bench.run.watch.early_warning import watcher_of
 from bench.run.way_out import with_notes
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
-from drivers.wire.haste import Haste
+from drivers.wire.causes import Haste
 from drivers.wire.log import WireLog
 
 MOST_RECALLED: Final = 500

@@ -21,15 +21,14 @@ from rich.console import Console
 
 from bench.analysis.calibration.estimators import GLS
 from bench.api.arguments import DIAGNOSED, checked
+from bench.api.bench_selection import bench_of, find_bench_file, origin_beside
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.confirmation import ConfirmationResult, confirmation_of
 from bench.api.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.api.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
 from bench.api.learning import LearningResult, learning_of
-from bench.api.origin import origin_beside
 from bench.api.own_effects import knowing_effects_in
 from bench.api.source import Request, Source, load_sources
-from bench.api.taken import bench_of, find_bench_file
 from bench.api.verification import Asked, VerificationResult, verification_of
 from bench.files.bench.file import BenchFile
 from bench.readings.csv import read_csv, read_frame

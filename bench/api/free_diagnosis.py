@@ -17,8 +17,8 @@ from bench.api.diagnosis import TOGETHER, place_together
 from bench.api.own_effects import knowing_effects_of
 from bench.api.provenance import provenance
 from bench.api.source import Source, data_sha256
+from bench.base.atomic_files import write_whole
 from bench.base.tables import as_text
-from bench.base.whole import write_whole
 from bench.model import AppliedEffect
 from bench.readings.corrected import as_read
 from bench.readings.table import Readings

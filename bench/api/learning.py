@@ -17,7 +17,7 @@ from bench.analysis.learning.body import RunFit, run_fit
 from bench.analysis.learning.learn import learn as learn_from
 from bench.analysis.learning.result import WAVE_NAMES, Learned
 from bench.api.errors import Refused
-from bench.api.meters import differences_of, written_meters
+from bench.api.learned import differences_of, written_meters
 from bench.api.source import Source, data_sha256
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.tables import as_text, table

@@ -9,9 +9,8 @@ from pathlib import Path
 from bench.api.errors import Refused
 from bench.files.bench.file import missing_drivers
 from bench.run.control import NOBODY_KNOWN, Who
-from bench.run.digest import Digests
 from bench.run.events import EventType
-from bench.run.folder import BENCH, Run, all_runs, find_run
+from bench.run.folder import BENCH, Digests, Run, all_runs, find_run
 from bench.run.history import History
 from bench.run.manifest import RecordError
 from bench.run.record import Record, is_being_written

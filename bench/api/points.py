@@ -13,7 +13,7 @@ import numpy as np
 from bench.analysis.budget.setup import meters_of
 from bench.analysis.budget.sources import assumed_stand, signed_sources
 from bench.analysis.calibration.known import KnownStand
-from bench.analysis.planning.goals import (
+from bench.analysis.planning.optimal_design import (
     Goal,
     coefficient_goals,
     delta_g_goals,
@@ -21,8 +21,7 @@ from bench.analysis.planning.goals import (
     vector_goal,
     whole_goal,
 )
-from bench.analysis.planning.points import Points
-from bench.analysis.planning.procedure_text import VERIFICATION_DEG, Times, procedure_text
+from bench.analysis.planning.points import VERIFICATION_DEG, Points, Times, procedure_text
 from bench.analysis.planning.settings import Setting, fitted, settings_of
 from bench.analysis.planning.stand import Stand
 from bench.api.errors import Refused

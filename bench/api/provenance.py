@@ -6,9 +6,9 @@ import platform
 from collections.abc import Mapping
 from importlib import metadata
 
-from bench.api.origin import Origin
+from bench.api.bench_selection import Origin
 from bench.api.source import Source
-from bench.readings.supplied import ranges_in_words
+from bench.readings.columns import ranges_in_words
 from bench.run.folder import Run
 
 PACKAGES = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")

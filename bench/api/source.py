@@ -9,13 +9,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.analysis.budget.alike import KnownMeters
+from bench.analysis.budget.meters import KnownMeters
 from bench.analysis.calibration.known import KnownStand
+from bench.api.bench_selection import (
+    BenchTaken,
+    Origin,
+    Told,
+    bench_of,
+    origin_beside,
+    origin_of_run,
+    recorded_sha256,
+)
 from bench.api.errors import Refused
-from bench.api.learned import NOTHING, LearnedTaken, take_learned, with_effects, with_meters
-from bench.api.meters import voltmeter_names
-from bench.api.origin import Origin, Told, origin_beside, origin_of_run
-from bench.api.taken import BenchTaken, bench_of, recorded_sha256
+from bench.api.learned import NOTHING, LearnedTaken, take_learned, voltmeter_names, with_effects, with_meters
 from bench.api.traceability import Traced, trace
 from bench.base.words import repeated
 from bench.files.bench.file import BenchFile

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from bench.api.origin import Origin
-from bench.api.taken import BenchTaken
+from bench.api.bench_selection import BenchTaken, Origin
 from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm
 from bench.files.bench.file import BenchFile
 from bench.files.bench.traceability import Standing, corrections_of, standings, without

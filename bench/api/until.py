@@ -1,44 +1,68 @@
-"""Runs that go on until it is good enough: what is asked for, whether it can be reached, what is chosen on
-the way."""
+"""Runs until it is good enough: goals, floor, choices; the outlook of any run."""
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from bench.analysis.budget.sources import assumed_stand
-from bench.analysis.calibration import CalibrationError
-from bench.analysis.planning.goals import Goal, coefficient_goals, modulus_goals, vector_goal, whole_goal
+from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.planning.optimal_design import (
+    Goal,
+    coefficient_goals,
+    modulus_goals,
+    vector_goal,
+    whole_goal,
+)
+from bench.analysis.planning.settings import Cost, Outlook, outlook, settings_of
 from bench.analysis.planning.stand import Stand
-from bench.analysis.planning.until.aim import (
+from bench.analysis.planning.until.choice import REACHED, Chooser, Standing, scale_of, telling_apart
+from bench.analysis.planning.until.outlook import TimeOutlook, time_outlook
+from bench.analysis.planning.until.pool import (
     NO_GOAL,
     Aim,
     Floor,
+    Pool,
     Reached,
+    Site,
     Wanted,
     floors,
+    pool_of,
     reached_by,
     with_hidden,
 )
-from bench.analysis.planning.until.apart import telling_apart
-from bench.analysis.planning.until.choice import REACHED, Chooser, Standing
-from bench.analysis.planning.until.noise import scale_of
-from bench.analysis.planning.until.outlook import TimeOutlook, time_outlook
-from bench.analysis.planning.until.pool import Pool, Site, pool_of
+from bench.api.bench_selection import bench_path
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.errors import Refused
 from bench.api.learned import NOTHING, LearnedTaken, learned_for_run, with_effects
 from bench.api.points import delta_g_of, stand_of
 from bench.api.quantities import named, quantity
 from bench.api.source import Request, load_sources
+from bench.api.traceability import remarks
+from bench.base.forms import FileMistakes
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
-from bench.files.bench.file import BenchFile
-from bench.model import CATALOGUE, ForwardModel, Mounting
+from bench.devices.device import is_serial
+from bench.files.bench.file import BenchFile, load_bench
+from bench.files.shipped import find_procedure
+from bench.model.conditions import Mounting
+from bench.model.effects import CATALOGUE
+from bench.model.forward import ForwardModel
+from bench.procedure.check import (
+    check,
+    disk_needed_bytes,
+    largest_signal_v,
+    operator_actions,
+    orientations,
+    prompts_without_default,
+    undetermined,
+)
+from bench.procedure.load import load_procedure
 from bench.procedure.plan import Plan
 from bench.readings.table import VERIFICATION
 from bench.run.folder import BENCH, Run
@@ -46,6 +70,7 @@ from bench.run.history import History
 from bench.run.manifest import Manifest, RecordError
 from bench.run.resume import Progress
 from bench.run.sentences import duration, size_in_words
+from drivers.clock import utc_now
 
 COMBINED: Final = "combined:"
 EXAMPLE: Final = "all=5e-5 (V/g and V), combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, modulus=1e-3 or time=4h"
@@ -319,3 +344,158 @@ def outlook_in_words(found: TimeOutlook) -> str:
     if found.has_goal and reached < _NEARLY_ALL:
         words += f"; reached in {100 * reached:.0f} % of runs, for then the procedure has no more points"
     return words
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is known of a plan on a bench before it is carried out."""
+
+    plan: Plan
+    bench: BenchFile
+    problems: tuple[str, ...]
+    unanswered: tuple[str, ...]
+    operator_actions: int
+    by_kind_s: Mapping[str, float]
+    by_mount_s: Mapping[str, float]
+    longest_s: float
+    runs: Path
+    needed_bytes: int
+    free_bytes: int
+    largest_signal_v: float
+    undetermined: Mapping[float | None, tuple[str, ...]]
+    outlook: Outlook | None
+    hints: tuple[str, ...]
+    until: TimeOutlook | None = None
+
+    @property
+    def expected_s(self) -> float:
+        """Expected time of the whole plan, s."""
+        return sum(self.by_kind_s.values())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the findings as JSON values."""
+        return {
+            "procedure": self.plan.name,
+            "bench": self.bench.name,
+            "plan_hash": self.plan.hash,
+            "steps": len(self.plan.steps),
+            "counts": self.plan.counts(),
+            "operator_actions": self.operator_actions,
+            "expected_s": self.expected_s,
+            "expected_by_kind_s": dict(self.by_kind_s),
+            "expected_by_installation_s": dict(self.by_mount_s),
+            "longest_s": self.longest_s,
+            "disk": {
+                "folder": str(self.runs),
+                "needed_bytes": self.needed_bytes,
+                "free_bytes": self.free_bytes,
+            },
+            "largest_signal_v": self.largest_signal_v,
+            "not_determined": [
+                {"temperature_c": at_c, "coefficients": list(names)}
+                for at_c, names in self.undetermined.items()
+            ],
+            "observability": self.outlook and self.outlook.to_json(),
+            "problems": list(self.problems),
+            "dry_run_refuses": list(self.unanswered),
+            "hints": list(self.hints),
+            **({} if self.until is None else {"until": self.until.to_json()}),
+        }
+
+
+def look_ahead(procedure: str, bench: str | None, runs: Path, until: Sequence[str] = ()) -> Findings:
+    """Return what a procedure will do on a bench; `runs` is the folder whose disk is looked at.
+
+    `until` are the goals at which a run is to end. Raises `Refused` with the mistakes of both files, and
+    for goals that cannot be reached.
+    """
+    plan, file = _load(procedure, bench)
+    found = _find(plan, file, runs)
+    if not until:
+        return found
+    learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
+    return replace(found, until=outlook_until(plan, file, until, learned))
+
+
+def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
+    plan: Plan | None = None
+    bench: BenchFile | None = None
+    mistakes = []
+    try:
+        plan = load_procedure(find_procedure(procedure)).expand()
+    except FileMistakes as error:
+        mistakes.append(str(error))
+    try:
+        bench = load_bench(bench_path(bench_name))
+    except FileMistakes as error:
+        mistakes.append(str(error))
+    if plan is None or bench is None:
+        raise Refused("\n".join(mistakes))
+    return plan, bench
+
+
+def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+    supply = bench.unit_under_test.supply
+    needed, free = disk_needed_bytes(plan), _free_bytes(runs)
+    problems = check(plan, bench)
+    if needed > free:
+        problems.append(
+            f"{runs}: a run needs about {disk_space(needed)} of disk, and {disk_space(free)} are free; make "
+            "room or choose another folder with --runs"
+        )
+    undetermined_at = {at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()}
+    return Findings(
+        plan=plan,
+        bench=bench,
+        problems=tuple(problems),
+        unanswered=tuple(prompts_without_default(plan)),
+        operator_actions=operator_actions(plan, bench),
+        by_kind_s=plan.duration_by_kind_s(bench.line_frequency, supply),
+        by_mount_s=plan.duration_by_mount_s(bench.line_frequency, supply),
+        longest_s=plan.longest_duration_s(bench.line_frequency, supply),
+        runs=runs,
+        needed_bytes=needed,
+        free_bytes=free,
+        largest_signal_v=largest_signal_v(plan, bench),
+        undetermined=undetermined_at,
+        outlook=_outlook(plan, bench) if () in undetermined_at.values() else None,
+        hints=tuple(_hints(bench)),
+    )
+
+
+def _hints(bench: BenchFile) -> Iterator[str]:
+    """Say what is no mistake on a simulated bench, and likely one on a real one; and what certificates lack."""
+    yield from remarks(bench)
+    for meter in bench.instruments.voltmeters:
+        if is_serial(meter.resource) and meter.interface == "lan":
+            yield (
+                f"{meter.name}: {meter.resource} is a serial port, and a meter there takes commands only when put "
+                "into remote: say 'interface: rs232' (without it, it is taken for a meter of bench simulate)"
+            )
+
+
+def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
+    """What a calibration from the plan leaves open; None where an installation is not known."""
+    settings = settings_of(plan)
+    installations = bench.installation_models()
+    if not {s.mount.installation for s in settings} <= set(installations):
+        return None
+    cost = Cost.of_plan(plan, bench.line_frequency)
+    return outlook(settings, ForwardModel(installations), bench.nominal_block(), cost)
+
+
+def _free_bytes(folder: Path) -> int:
+    """Return what is free on the disk of a folder, or of the nearest one above it that is there."""
+    path = folder.resolve()
+    while not path.exists():
+        path = path.parent
+    return shutil.disk_usage(path).free
+
+
+def disk_space(size: float) -> str:
+    """Return a size in bytes as a person says it."""
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.4g} GB"

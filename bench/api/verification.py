@@ -17,8 +17,8 @@ from bench.analysis.budget.whole import delta_g_contributions, delta_g_elsewhere
 from bench.analysis.calibration import CalibrationError, LackOfFit, Verification, VerificationPoint
 from bench.analysis.calibration import verify as check
 from bench.analysis.calibration.conformity import SIMPLE, DecisionRule, Population
-from bench.analysis.calibration.same_meters import drifted
-from bench.analysis.calibration.verdict_words import (
+from bench.analysis.calibration.known import drifted
+from bench.analysis.calibration.verification import (
     advice,
     global_risk_in_words,
     optional_probability,

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from bench.assembly.served import Assembly, dry_bench, real_bench
-from bench.commission.evening import Evening, Listening
-from bench.commission.wire import Wire, WireWatch
+from bench.commission.session import Evening, Listening, Wire, WireWatch
 from bench.files.bench.file import BenchFile
 from bench.model import ForwardModel
 from drivers.clock import SystemClock
 from drivers.interfaces import Answer, BenchError, Person, Prompt
-from drivers.wire.haste import Haste
+from drivers.wire.causes import Haste
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
 

@@ -1,57 +1,101 @@
-"""The composition root: the only place that knows both the drivers and the simulation.
-
-A real bench is drivers on the resources of the bench file and a person at the terminal; a dry run is the
-very same drivers on resources that lead to simulated instruments, a scripted operator (or a living person) and a
-virtual clock.
-
-What carries the messages of a dry run: an instrument on a serial port is reached over a pseudo-terminal,
-where the system has these and the port 8 data bits, and one behind a GPIB adapter through a simulated
-adapter, so that those paths of the drivers are gone through, too. All others go over plain sockets. That
-holds for GPIB boards, whose driver of the system nothing stands for: pyvisa-py's own detour through an
-adapter gives a reading 50 ms to come, and so proves nothing of a bench whose readings take seconds.
-"""
+"""The composition root: drivers and simulation put together, with a person at the simulated bench."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
-from bench.assembly.living import LivingOperator
-from bench.assembly.real import Surroundings, instruments_of
-from bench.assembly.simulated import (
+from bench.assembly.instruments import (
+    Surroundings,
     buses_of,
     faults_of,
+    instruments_of,
     on_terminals,
     operator_of,
     simulated_instruments,
     world_of,
 )
-from bench.base.cache import cache_folder
+from bench.base.files import cache_folder
 from bench.files.bench.file import BenchFile
-from bench.model import ForwardModel
+from bench.model.forward import ForwardModel
 from bench.procedure.plan import Plan, Read
 from bench.procedure.steps import in_scan_order, read_order
 from bench.readings.reading import Reading
 from bench.readings.table import REFERENCE, SHORTED, scan_order
+from bench.run.answers import NO, problem_with_answer
 from bench.run.events import Event, EventType
 from bench.run.runner import Observer
 from bench.run.workbench import Instruments
+from drivers.angles import parse_angle
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import BenchError, Person, Voltmeter, WatchingPerson
-from drivers.wire.haste import Haste
+from drivers.interfaces.errors import BenchError
+from drivers.interfaces.instruments import Voltmeter
+from drivers.interfaces.person import Answer, Person, Prompt, WatchingPerson
+from drivers.wire.causes import Haste
 from drivers.wire.holding import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
-from sim.wires.pty import TERMINALS
-from sim.wires.server import TcpServer
+from sim.wires.server import TERMINALS, TcpServer
 from sim.wires.session import ServedInstrument as Wired
 from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.operator import ScriptedOperator
 from sim.world.world import World
+
+_LOOKED_AT: Final = frozenset({"read_temperature", "read_level", "read_supply"})
+_DONE: Final = frozenset(
+    {
+        "mount",
+        "set_temperature",
+        "select_input",
+        "place_level",
+        "level_platform",
+        "set_supply",
+        "switch_supply",
+    }
+)
+
+
+class LivingOperator:
+    """A `drivers.interfaces.WatchingPerson` who is `person`, with the hands of a scripted operator.
+
+    The head stands where the person says that its scale shows it to be. A display, and the bubble of a level, are
+    told in the question. In the world a task takes the time that the scripted operator takes for it, however long
+    the person does.
+    """
+
+    def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
+        self._person = person
+        self._hands = hands
+
+    @property
+    def meanwhile(self) -> Callable[[], None] | None:
+        """What is to be done while a question waits."""
+        return self._person.meanwhile
+
+    @meanwhile.setter
+    def meanwhile(self, look: Callable[[], None] | None) -> None:
+        self._person.meanwhile = self._hands.meanwhile = look
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Ask the person, and do in the world what they say is done. Raises what the person's `ask` raises."""
+        action = prompt.action
+        if action["do"] in _LOOKED_AT:
+            seen = self._hands.ask(prompt).text
+            return self._person.ask(replace(prompt, text=f"{prompt.text} (Simulated: it shows {seen}.)"))
+        answer = self._person.ask(prompt)
+        if answer.prompt_id != prompt.id or problem_with_answer(prompt, answer.text):
+            return answer  # it is asked again
+        if action["do"] == "turn":
+            typed = answer.text.strip() or prompt.default or ""
+            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"])
+        elif action["do"] in _DONE and answer.text.strip().lower() not in NO:
+            self._hands.ask(prompt)
+        return answer
+
 
 HELD: Final = "instruments"
 """The part of the cache folder in which a program holds the instruments that it has opened."""

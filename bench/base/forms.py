@@ -17,9 +17,8 @@ from typing import Any, Final, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from bench.base.form_mistakes import MOST_TOLD, Place, explained
-from bench.base.regular import MEGABYTE, read_regular
-from bench.base.yaml_text import TooDeep, read_yaml, read_yaml_with_lines
+from bench.base.files import MEGABYTE, read_regular
+from bench.base.yaml_text import MOST_TOLD, Place, TooDeep, explained, read_yaml, read_yaml_with_lines
 
 _SHORT: Final = 100_000
 """Characters of a text that is read a second time for a better sentence about what is wrong with it."""

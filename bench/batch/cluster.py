@@ -8,8 +8,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from bench.api.errors import Refused
-from bench.batch.columns import Row
-from bench.batch.job import Job, program
+from bench.batch.job import Job, Row, program
 from bench.batch.processes import AHEAD, died_at
 from bench.batch.work import worked
 

@@ -15,9 +15,8 @@ from threading import Thread
 from typing import Any, Final
 
 from bench.api.errors import Refused
-from bench.base.threads import THREADS
-from bench.batch.columns import Row
-from bench.batch.job import DIAGNOSE, Job
+from bench.base.computing import THREADS
+from bench.batch.job import DIAGNOSE, Job, Row
 
 AHEAD: Final = 2
 """Runs that a process has at hand: it need not wait for the next one."""

@@ -1,15 +1,13 @@
-"""A batch on disk: what was asked, and parts of its table, each there whole or not at all.
-
-A part is a Parquet file that is never written again. Rows that are in one are not computed again; a row counts
-as long as the run is as it was when it was computed.
-"""
+"""A batch on disk: the job, its runs, parts of its table, each whole or absent."""
 
 from __future__ import annotations
 
+import glob
 import os
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -17,12 +15,114 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.api.errors import Refused
-from bench.base.regular import read_regular
-from bench.base.whole import from_text, to_text
-from bench.batch.columns import COLUMNS, Row, arrow_schema
-from bench.batch.job import Job, program
-from bench.batch.listing import fingerprint
-from drivers.clock import utc_now
+from bench.base.atomic_files import from_text, to_text
+from bench.base.computing import tracked
+from bench.base.files import read_regular
+from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
+from bench.batch.stored import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE
+from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
+from bench.run.manifest import EVENTS, MANIFEST, sha256
+from drivers.clock import Clock, SystemClock, utc_now
+
+_QUESTION: Final = re.compile(r"[a-z][a-z_]*\s*(=|!=|>=|<=|>|<)")
+_READ: Final = (
+    MANIFEST, EVENTS, BENCH, PLAN, IMPORTED, EFFECTS, CALIBRATE_FILE, VERIFY_FILE, DIAGNOSE_FILE,
+)  # fmt: skip
+"""Files of a run that a row is made from."""
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Runs (absolute paths, sorted, each once), and what was found where they lie and is none."""
+
+    runs: tuple[str, ...]
+    no_runs: tuple[str, ...] = ()
+
+
+def list_runs(over: Sequence[str], runs: Path, catalogue: str | None = None) -> Listed:
+    """Return the runs that `over` names: words of a query (`unit=Q-17`, all of which hold), or patterns.
+
+    A pattern is that of a shell (`*`, `?`, `[…]`, `**` for folders in folders), in the working folder or else in
+    the folder `runs`; a folder that is no run stands for the runs in it. Raises `Refused` where nothing is found.
+    """
+    words = [word for given in over for word in _words(given)]
+    asked = [word for word in words if is_question(word)]
+    if not any(words):
+        raise Refused("--over: say which runs, such as --over 'runs/*' or --over unit=Q-17")
+    if asked and len(asked) < len(words):
+        other = next(word for word in words if not is_question(word))
+        raise Refused(f"--over {other}: a pattern beside a query ({asked[0]}); give the one or the other")
+    found = _asked(asked, catalogue) if asked else _there(words, runs)
+    if not found.runs:
+        kind = "the catalogue has no run of which this holds" if asked else "no run lies there"
+        raise Refused(f"--over {' '.join(words)}: {kind}")
+    return found
+
+
+def _words(given: str) -> list[str]:
+    """Return the words of a query in one text, where each is one; else the text, which may hold spaces."""
+    words = given.split()
+    return words if len(words) > 1 and all(map(is_question, words)) else [given]
+
+
+def is_question(word: str) -> bool:
+    """Whether a word is of a query (`unit=Q-17`) and no pattern of paths."""
+    return _QUESTION.match(word) is not None and not Path(word).exists()
+
+
+def fingerprint(run: str) -> str:
+    """Return by what a run is known to be as it was: size and time of each file that a row is made from."""
+    told = []
+    for name in _READ:
+        try:
+            is_ = (Path(run) / name).stat()
+        except OSError:
+            continue
+        told.append(f"{name} {is_.st_size} {is_.st_mtime_ns}")
+    return sha256("\n".join(told).encode())[:32]
+
+
+def _asked(words: Sequence[str], catalogue: str | None) -> Listed:
+    from bench.catalogue.questions import run_folders
+    from bench.catalogue.store import open_catalogue
+
+    with open_catalogue(catalogue, existing=True) as opened:
+        return _sorted(run_folders(opened, words), ())
+
+
+def _there(patterns: Iterable[str], runs: Path) -> Listed:
+    found: list[Path] = []
+    others: list[Path] = []
+    for pattern in patterns:
+        for path in _matches(pattern, runs):
+            if (path / MANIFEST).is_file():
+                found.append(path)
+                continue
+            inside = [one for one in path.iterdir() if (one / MANIFEST).is_file()] if path.is_dir() else []
+            found += inside
+            if path.is_dir() and not inside:
+                others.append(path)
+    return _sorted(found, others)
+
+
+def _matches(pattern: str, runs: Path) -> list[Path]:
+    if not glob.has_magic(pattern):
+        places = [Path(pattern), runs / pattern]
+        return [place for place in places if place.exists()][:1]
+    return [Path(path) for path in _globbed(pattern) or _globbed(str(runs / pattern))]
+
+
+def _globbed(pattern: str) -> list[str]:
+    """Return the paths that a pattern names, which may begin at the root, as `Path.glob` takes none."""
+    return glob.glob(pattern, recursive=True)  # noqa: PTH207
+
+
+def _sorted(found: Iterable[Path], others: Iterable[Path]) -> Listed:
+    return Listed(
+        tuple(sorted({str(path.resolve()) for path in found})),
+        tuple(sorted({str(path) for path in others})),
+    )
+
 
 FORMAT: Final = 1
 BATCH: Final = "batch.json"
@@ -218,3 +318,46 @@ def _write_synced(file: Path, content: Any) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+PART_ROWS: Final = 256
+"""A part has so many rows at most: what a program that is killed may lose, and memory holds."""
+PART_S: Final = 10.0
+"""A part is written at the first row that comes so long after the last part."""
+
+Computed = Callable[[Iterator[str]], Iterator[Row]]
+"""Gives the rows of runs in any order: by processes, or by a cluster."""
+
+
+@dataclass
+class Course:
+    """Rows that belong to no part yet, and where parts are written."""
+
+    store: Store
+    command: str
+    clock: Clock = field(default_factory=SystemClock)
+    _rows: list[Row] = field(default_factory=list)
+    _since_s: float = 0.0
+
+    def carry_out(self, progress: Progress, computed: Computed) -> None:
+        """Compute what is pending; unless the program is killed, each row that came is in a part at the end."""
+        self._since_s = self.clock.now_s()
+        rows = computed(iter(progress.pending))
+        try:
+            for row in tracked(rows, "runs", len(progress.pending)):
+                self._take(row | {"fingerprint": progress.pending[row["run"]]})
+        finally:
+            self._write()
+            if isinstance(rows, Iterator) and hasattr(rows, "close"):
+                rows.close()
+
+    def _take(self, row: Row) -> None:
+        self._rows.append(row)
+        if len(self._rows) >= PART_ROWS or self.clock.now_s() - self._since_s >= PART_S:
+            self._write()
+
+    def _write(self) -> None:
+        if self._rows:
+            self.store.write_part(self.command, self._rows)
+        self._rows.clear()
+        self._since_s = self.clock.now_s()

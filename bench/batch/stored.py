@@ -1,4 +1,4 @@
-"""Results found before that a run's folder has: of `calibrate`, `verify` and `diagnose`."""
+"""Earlier results in a run's folder, and what changed between two calibrations."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from bench.analysis.calibration.result import LACK_OF_FIT_P
 from bench.api.calibration import CalibrationResult
 from bench.api.verification import VerificationResult
 from bench.base.arrays import Floats
-from bench.base.json_text import read_json
-from bench.base.regular import read_regular
+from bench.base.files import read_json, read_regular
+from bench.batch.job import Row
 from bench.model.block import COEFFICIENTS
 
 CALIBRATE_FILE: Final = "calibrate.json"
@@ -178,3 +178,57 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
         kind = type(problem).__name__
         notes.append(f"the stored {file.name} cannot be read ({kind}: {problem}): nothing to compare with")
         return None
+
+
+def changes(before: Found | None, now: Found) -> Row:
+    """Return the columns of what was, what is and what changed; without a result before, of what is alone.
+
+    Readings are the same, so that the change is no deviation by chance: it is in units of the u that was stated,
+    of what had none (fixed by convention) in units of the u that it has now. Where neither has one it is zero
+    or unknown, and results in different units of the signals are not compared.
+    """
+    row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
+    if before is None:
+        return row
+    row["fit_differs"] = before.fit != now.fit
+    if before.unit != now.unit:
+        return row
+    change = change_in_u(before, now)
+    row |= {f"{name}_change_in_u": _known(x) for name, x in zip(COEFFICIENTS, change, strict=True)}
+    if not np.all(np.isnan(change)):
+        largest = int(np.nanargmax(np.abs(change)))
+        row |= {
+            "largest_change_in_u": abs(float(change[largest])),
+            "largest_change_of": COEFFICIENTS[largest],
+        }
+    both = (before.u > 0) & (now.u > 0)
+    if np.any(both):
+        ratio = now.u[both] / before.u[both]
+        row |= {"least_u_ratio": float(ratio.min()), "most_u_ratio": float(ratio.max())}
+    return row
+
+
+def change_in_u(before: Found, now: Found) -> Floats:
+    """Return how far each coefficient went, (12,), in units of its u; NaN where it went and has none."""
+    moved = now.values - before.values
+    unit = np.where(before.u > 0, before.u, now.u)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change: Floats = np.where(unit > 0, moved / unit, np.where(moved == 0, 0.0, np.nan))
+    return change
+
+
+def _columns(found: Found, suffix: str) -> Row:
+    return {
+        f"estimator{suffix}": found.estimator,
+        f"model{suffix}": found.model,
+        f"signal_unit{suffix}": found.unit,
+        f"g{suffix}_m_s2": found.g_m_s2,
+        f"fit{suffix}": found.fit,
+        f"p{suffix}": found.p,
+        **{f"{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.values.tolist(), strict=True)},
+        **{f"u_{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.u.tolist(), strict=True)},
+    }
+
+
+def _known(x: float) -> float | None:
+    return None if np.isnan(x) else float(x)

@@ -12,17 +12,15 @@ from typing import Any, Final
 from bench.analysis.diagnosis.full import TooLittleLeft
 from bench.api.calibration import CalibrationResult, calibration_of
 from bench.api.diagnosis import body_of, diagnosis_of
+from bench.api.documents import report_page
 from bench.api.explained import sentence
 from bench.api.free_diagnosis import free_diagnosis_of, free_sources
-from bench.api.page import report_page
 from bench.api.source import Source, load_sources
 from bench.api.verification import VerificationResult, verification_of
+from bench.base.atomic_files import to_text, write_whole
 from bench.base.visible import visible
-from bench.base.whole import to_text, write_whole
-from bench.batch.changed import changes
-from bench.batch.columns import Row
-from bench.batch.job import DIAGNOSE, REPORT, Job
-from bench.batch.stored import Found, Judged, Named, Stored, stored_calibration, stored_diagnosis
+from bench.batch.job import DIAGNOSE, REPORT, Job, Row
+from bench.batch.stored import Found, Judged, Named, Stored, changes, stored_calibration, stored_diagnosis
 from bench.files.formulas import effects_in
 from bench.model import CATALOGUE, Effect
 from bench.run.manifest import RecordError, read_manifest, sha256

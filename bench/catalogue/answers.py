@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, Select, and_, case, func, select
 
 from bench.api.errors import Refused
 from bench.base.arrays import u_of
-from bench.base.whole import write_whole
+from bench.base.atomic_files import write_whole
 from bench.catalogue.questions import condition_of
 from bench.catalogue.schema import (
     CALIBRATIONS,

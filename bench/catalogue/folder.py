@@ -1,28 +1,185 @@
-"""A run folder read for the catalogue: rows of its tables, or why there are none. Nothing is written."""
+"""A run folder read for the catalogue: record, instruments, certificates, as rows of its tables."""
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from bench.api.bench_selection import instrument_name
 from bench.api.coefficients import coefficients_of
 from bench.api.errors import Refused
 from bench.base.arrays import Floats
+from bench.base.files import read_json, read_regular
 from bench.base.forms import FileMistakes
-from bench.base.json_text import read_json
-from bench.base.regular import read_regular
 from bench.base.visible import visible
-from bench.catalogue.instruments import Row, instruments_of, text_of
-from bench.catalogue.record import RecordSeen, utc_of
 from bench.catalogue.schema import key_of
+from bench.certificate.register import Register
 from bench.files.bench.file import BenchFile, load_recorded_bench
-from bench.run.folder import BENCH, VERIFY
-from bench.run.manifest import MANIFEST, RecordError, read_manifest, sha256
+from bench.run.folder import BENCH, VERIFY, Run
+from bench.run.manifest import EVENTS, MANIFEST, Manifest, RecordError, read_manifest, sha256
+from bench.run.same_serial import NO_SERIAL
+from bench.run.states import RunState, state_after_one
+
+Row = dict[str, Any]
+
+
+def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
+    """Return rows: what answered as a run `started`, as what it was used, under which certificates."""
+    answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
+    serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
+    instruments: dict[int, Row] = {}
+    certificates: dict[int, Row] = {}
+    uses = []
+    sections = {section.name: section for section in bench.instruments.all()} if bench else {}
+    for role, identity in answered.items():
+        section = sections.get(role)
+        resource = text_of(getattr(section, "resource", None))
+        serial = serials.get(role, "")
+        if serial in NO_SERIAL:
+            serial = ""
+        name = instrument_name(identity, serial, resource, bench.name if bench else "an unknown bench")
+        instrument = key_of("instrument", name)
+        driver = text_of(getattr(section, "driver", None))
+        instruments[instrument] = {"id": instrument, "name": name, "driver": driver, "serial": serial or None}
+        certificate = None
+        if (stated := getattr(section, "certificate", None)) is not None:
+            row = _certificate(stated)
+            certificate = row["id"]
+            certificates[row["id"]] = row
+        uses.append(
+            {
+                "run": run,
+                "role": role,
+                "instrument": instrument,
+                "certificate": certificate,
+                "answered": identity,
+                "resource": resource,
+            }
+        )
+    return {"instruments": [*instruments.values()], "certificates": [*certificates.values()], "uses": uses}
+
+
+def _certificate(stated: Any) -> Row:
+    row = {
+        "number": stated.number,
+        "laboratory": stated.laboratory,
+        "date": stated.date,
+        "valid_until": stated.valid_until,
+        "serial": stated.serial,
+    }
+    return {"id": key_of("certificate", *(str(value) for value in row.values())), **row}
+
+
+def text_of(value: Any) -> str | None:
+    """Return a text or number as text, None for all else."""
+    return str(value) if isinstance(value, str | int | float) and str(value) else None
+
+
+_END: Final = b', "prev": "%s"}'
+"""How each line ends: with the hash of the one before."""
+_CHANGING: Final = re.compile(rb'"type": "(run_[a-z]+)"')
+_OPENED: Final = frozenset({"run_started", "run_resumed"})
+_STEP_OF_READING: Final = re.compile(rb'"type": "step_done", "step": (\d+), [^{}\n]*"reading": \{')
+_TEMPERATURE: Final = re.compile(rb'"reading": \{[^{}\n]*"temperature_c": (-?[0-9.eE+-]+)')
+_TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
+
+
+class RecordSeen:
+    """The lines of a record gone through as bytes: their chain, the run's state, which steps were read."""
+
+    def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
+        self.folder = folder
+        self.head, self.count, self.state = manifest_sha256, 0, RunState.READY
+        self.problem = ""
+        self.steps: set[bytes] = set()
+        self.started: dict[str, Any] = {}
+        self.whole = False
+        self._temperatures: list[float] = []
+        self._last = b""
+        self._check_inputs(manifest)
+        try:
+            content = read_regular(folder / EVENTS)
+        except FileNotFoundError:
+            content = b""
+        self._go_through(content)
+
+    def _check_inputs(self, manifest: Manifest) -> None:
+        for name, digest in manifest["files"].items():
+            if Path(name).name != name:
+                self.problem = f"{MANIFEST} names an input outside of the folder"
+                return
+            file = self.folder / name
+            if not file.is_file() or sha256(read_regular(file)) != digest:
+                self.problem = f"{name} was changed since the run began"
+
+    def _go_through(self, content: bytes) -> None:
+        lines = content.split(b"\n")[:-1]
+        heads = [self.head.encode(), *(hashlib.sha256(line).hexdigest().encode() for line in lines)]
+        count = next((k for k, line in enumerate(lines) if not line.endswith(_END % heads[k])), len(lines))
+        if count < len(lines):
+            self.problem = f"{EVENTS}, line {count + 1}: the chain is broken here"
+        self.head, self.count = heads[count].decode(), count
+        self._note(content[: sum(len(line) + 1 for line in lines[:count])])
+
+    def _note(self, content: bytes) -> None:
+        """Note what the lines say that the catalogue keeps; a text of an operator cannot look like one of them."""
+        for found in _CHANGING.finditer(content):
+            name = found.group(1).decode()
+            self.state = state_after_one(self.state, name)
+            if name in _OPENED and not self.started:
+                begin, end = content.rfind(b"\n", 0, found.start()) + 1, content.index(b"\n", found.start())
+                self.started = read_json(content[begin:end])
+        self.steps = set(_STEP_OF_READING.findall(content))
+        # of a step that was read again both count in the mean
+        told = _TEMPERATURE.findall(content) if self.steps else []
+        self._temperatures = [float(value) for value in told]
+        self._last = content[content.rfind(b"\n", 0, -1) + 1 :]
+
+    def read_whole(self) -> None:
+        """Read every event, as `bench show --verify` does."""
+        if problems := Run(self.folder).history.problems:
+            self.problem = "; ".join(problems)
+        self.whole = True
+
+    @property
+    def proved(self) -> str:
+        """What is proved of the record."""
+        if self.problem:
+            return "broken"
+        return ("read" if self.whole else "chain") if self.count else "none"
+
+    @property
+    def ended(self) -> datetime | None:
+        """Civil time of the last event of a run that is not going on."""
+        if self.state in (RunState.READY, RunState.RUNNING, RunState.PAUSED):
+            return None
+        told = _TIME.search(self._last)
+        return utc_of(told.group(1).decode()) if told else None
+
+    @property
+    def temperature_c(self) -> float | None:
+        """Mean of the temperatures of the readings, °C."""
+        finite = [value for value in self._temperatures if math.isfinite(value)]
+        return sum(finite) / len(finite) if finite else None
+
+
+def utc_of(text: Any) -> datetime | None:
+    """Return a civil time of a record as UTC without zone; None for what is none."""
+    try:
+        when = datetime.fromisoformat(str(text))
+    except ValueError:
+        return None
+    return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else None
+
 
 CALIBRATE: Final = "calibrate.json"
 DIAGNOSE: Final = "diagnose.json"
@@ -246,3 +403,28 @@ def _packed(array: Floats) -> bytes:
 def _in_a_line(error: Exception, path: str) -> str:
     """Return a sentence without the folder, which stands beside it."""
     return " ".join(str(error).replace(f"{path}/", "").removeprefix(f"{path}: ").split())[:300]
+
+
+def issued_in(folder: str) -> list[Row]:
+    """Return a row for each number of a register. Raises `Refused` for one that cannot be believed or read."""
+    register = Register(Path(folder))
+    try:
+        register.read_lines()
+    except OSError as error:
+        raise Refused(f"the register cannot be read ({error.strerror})") from error
+    rows = []
+    for number, standing in register.standings.items():
+        record = standing.entry.data.get("record")
+        rows.append(
+            {
+                "id": key_of("issued", folder, number),
+                "register": folder,
+                "number": number,
+                "time": utc_of(standing.entry.time),
+                "state": standing.state,
+                "by": standing.by or standing.entry.by or None,
+                "run": text_of(standing.entry.data.get("run")),
+                "head": text_of(record.get("head")) if isinstance(record, dict) else None,
+            }
+        )
+    return rows

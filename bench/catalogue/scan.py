@@ -1,15 +1,20 @@
-"""The run folders below a folder, each with a fingerprint of its files: read from the directory alone."""
+"""Run folders below a folder with fingerprints; processes that read many."""
 
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 import os
 from collections import deque
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Final
 
+from bench.api.errors import Refused
 from bench.run.folder import PLAN
 from bench.run.manifest import EVENTS, MANIFEST
 
@@ -111,3 +116,15 @@ def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
         return ""
     told = "//".join(parts).encode("utf-8", "surrogateescape")
     return hashlib.blake2b(told, digest_size=16).hexdigest()
+
+
+@contextmanager
+def pool_of(processes: int, when_ended: str) -> Iterator[ProcessPoolExecutor]:
+    """Give processes. Raises `Refused` with the words `when_ended` where one of them was ended from outside."""
+    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise Refused(when_ended) from error
+    finally:
+        pool.shutdown(cancel_futures=True)

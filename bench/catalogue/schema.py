@@ -68,7 +68,7 @@ RUNS: Final = Table(
     Column("record", Text, nullable=False),
     Column("problem", Text),
 )
-"""Runs: `record` is what was proved of the chain of hashes (`bench.catalogue.record`), `problem` what is wrong."""
+"""Runs: `record` is what was proved of the chain of hashes (`bench.catalogue.folder`), `problem` what is wrong."""
 
 INSTRUMENTS: Final = Table(
     "instruments",
@@ -179,7 +179,7 @@ DUES: Final = Table(
     Column("asked", Text, primary_key=True),
     Column("told", Text, nullable=False),
 )
-"""When units are due, as it was reckoned for a limit and an interval (`bench.catalogue.dues`), in JSON."""
+"""When units are due, as it was reckoned for a limit and an interval (`bench.catalogue.unit`), in JSON."""
 
 OF_A_RUN: Final = (USES, CALIBRATIONS, VERIFICATIONS, POINTS, DIAGNOSES)
 """Tables whose rows belong to a run, and are made anew when it is read again."""

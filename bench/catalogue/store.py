@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.api.errors import Refused
-from bench.base.cache import cache_folder
+from bench.base.files import cache_folder
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine

@@ -21,16 +21,13 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from sqlalchemy import delete, select, update
 
 from bench.api.errors import Refused
-from bench.base.progress import tracked
+from bench.base.computing import tracked
 from bench.base.visible import visible
-from bench.catalogue.dues import forget_dues
-from bench.catalogue.folder import Found, read_folder
-from bench.catalogue.instruments import Row
-from bench.catalogue.issued import issued_in
-from bench.catalogue.processes import pool_of
-from bench.catalogue.scan import Place, Seen, scan, scan_all
+from bench.catalogue.folder import Found, Row, issued_in, read_folder
+from bench.catalogue.scan import Place, Seen, pool_of, scan, scan_all
 from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS
 from bench.catalogue.store import Catalogue
+from bench.catalogue.unit import forget_dues
 from bench.run.manifest import MANIFEST
 
 if TYPE_CHECKING:

@@ -1,16 +1,31 @@
-"""Coefficients out of the catalogue as arrays, for whoever reckons with many calibrations."""
+"""Coefficients of many calibrations as arrays, out of the catalogue."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import and_, func, select
 
-from bench.base.arrays import Floats
+from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.history.comparison import Joint, Snapshot, joint_covariances, joint_of
+from bench.analysis.intercomparison.equivalence import (
+    Equivalence,
+    Pair,
+    Participants,
+    Together,
+    equivalence,
+    pairs,
+    together,
+)
+from bench.analysis.intercomparison.measured import STANDARD_GRAVITY, Measured, coded, to_standard_gravity
+from bench.api.coefficients import snapshots_in
+from bench.api.errors import Refused
+from bench.base.arrays import Floats, Mask, u_of
 from bench.catalogue.questions import condition_of
 from bench.catalogue.schema import CALIBRATIONS, RUNS
 from bench.catalogue.store import Catalogue
@@ -120,3 +135,219 @@ def _left_out(connection: Any, asked: Any) -> list[str]:
         if count := connection.execute(counted).scalar():
             sentences.append(f"{count} run{'s' * (count > 1)} {why}")
     return sentences
+
+
+RESULT: Final = "calibrate.json"
+MOST_COMPARED: Final = 400
+"""Of more calibrations the whole covariance is too large to be worth it: a narrower question is asked for."""
+
+
+def measured_of(table: CoefficientTable) -> tuple[Measured, Mask, tuple[str, ...]]:
+    """Return calibrations of known units on known benches, which of the table (n,) they are, and notes.
+
+    Raises `Refused` where simulated and real ones, or signals in several units, are among them, or none is left.
+    """
+    known = np.ones(len(table), dtype=bool)
+    notes = list(table.left_out)
+    for what, there in (
+        ("unit", np.array([bool(u) for u in table.unit], dtype=bool)),
+        ("bench", np.array([bool(b) for b in table.bench], dtype=bool)),
+        ("date", ~np.isnat(table.when)),
+        ("covariance of all twelve", _regular(table)),
+    ):
+        lost = int(np.sum(known & ~there))
+        if lost:
+            notes.append(f"{lost} calibration{'s' * (lost > 1)} without a {what} left out")
+        known &= there
+    if not known.any():
+        told = f" ({'; '.join(notes)})" if notes else ""
+        raise Refused(f"the question names no calibration of a known unit on a known bench{told}")
+    simulated = table.simulated[known]
+    if simulated.any() and not simulated.all():
+        raise Refused(
+            f"{int(simulated.sum())} of {len(simulated)} calibrations are simulated: ask for simulated=yes or "
+            "simulated=no"
+        )
+    signals = sorted(set(table.signal_unit[known].tolist()))
+    if len(signals) > 1:
+        raise Refused(f"signals in {', '.join(signals)} cannot be compared: narrow the question")
+    factor = to_standard_gravity(table.g_m_s2[known])
+    meters = np.nan_to_num(table.u_meters[known])
+    if np.isnan(table.u_meters[known]).any():
+        notes.append(
+            "some results do not tell which part of u the same meters bring again: it counts as their own"
+        )
+    if simulated.all():
+        notes.append("all of these were found on simulated instruments")
+    kinds = [kind or "" for kind in table.unit_type[known]]
+    measured = Measured(
+        unit=np.array(table.unit[known], dtype=str),
+        kind=np.array(kinds, dtype=str),
+        bench=np.array(table.bench[known], dtype=str),
+        when=table.when[known],
+        vector=table.vector[known] * factor,
+        covariance=table.covariance[known] * factor[:, :, None] * factor[:, None, :],
+        meters=meters * factor,
+        signal=signals[0],
+        simulated=bool(simulated.all()),
+    )
+    return measured, known, tuple(notes)
+
+
+def _regular(table: CoefficientTable) -> Mask:
+    """Return which calibrations found all twelve coefficients, (n,)."""
+    variance = np.diagonal(table.covariance, axis1=1, axis2=2)
+    return np.asarray(np.all(variance > 0, axis=1) & np.all(np.isfinite(variance), axis=1))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Benches against one another, for each of the twelve coefficients.
+
+    `benches` and `units` are those that take part; `alone` are benches that share no unit with another. `together`
+    judges the degrees of equivalence of each bench in all twelve at once, `pairs_together` the pairs.
+    """
+
+    benches: tuple[str, ...]
+    units: tuple[str, ...]
+    alone: tuple[str, ...]
+    found: tuple[Equivalence, ...]
+    pairs: tuple[tuple[Pair, ...], ...]
+    together: tuple[Together, ...]
+    pairs_together: tuple[Together, ...]
+    calibrations: int
+    signal: str
+    simulated: bool
+    notes: tuple[str, ...]
+
+    @property
+    def apart(self) -> tuple[tuple[str, str, float], ...]:
+        """Bench, coefficient and E_n of degrees of equivalence beyond U (k = 2), the largest first."""
+        rows = [
+            (bench, name, float(en))
+            for name, one in zip(COEFFICIENTS, self.found, strict=True)
+            for bench, en in zip(self.benches, one.en, strict=True)
+            if en > 1.0
+        ]
+        return tuple(sorted(rows, key=lambda row: -row[2]))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "benches": list(self.benches),
+            "units": list(self.units),
+            "alone": list(self.alone),
+            "calibrations": self.calibrations,
+            "signal": self.signal,
+            "per_g_m_s2": STANDARD_GRAVITY,
+            "simulated": self.simulated,
+            "coefficients": {
+                name: {
+                    **one.to_json(),
+                    "degrees_of_equivalence": {
+                        bench: {"d": float(d), "u": float(u), "U": 2.0 * float(u), "en": float(en)}
+                        for bench, d, u, en in zip(
+                            self.benches, one.degree, one.u_degree, one.en, strict=True
+                        )
+                    },
+                    "pairs": [
+                        {
+                            "first": self.benches[pair.first], "second": self.benches[pair.second],
+                            "units": pair.units, "difference": pair.difference, "u": pair.u, "en": pair.en,
+                        }
+                        for pair in both
+                    ],
+                }
+                for name, one, both in zip(COEFFICIENTS, self.found, self.pairs, strict=True)
+            },
+            "together": {
+                "benches": {
+                    bench: one.to_json() for bench, one in zip(self.benches, self.together, strict=True)
+                },
+                "pairs": [
+                    {"first": self.benches[pair.first], "second": self.benches[pair.second], **one.to_json()}
+                    for pair, one in zip(self.pairs[0], self.pairs_together, strict=True)
+                ],
+            },
+            "apart": [{"bench": b, "coefficient": c, "en": en} for b, c, en in self.apart],
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+
+def compared(table: CoefficientTable, method: str | None = None) -> Compared:
+    """Hold benches against one another on the units that several of them measured.
+
+    What calibrations have in common (meters, K2 and K3 of a block) is read from the results in their folders.
+    Raises `Refused` or `CalibrationError` where there is nothing to compare, or too much.
+    """
+    measured, known, notes = measured_of(table)
+    paths = table.path[known]
+    (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
+    several = np.array([len(set(bench[unit == k].tolist())) > 1 for k in range(len(units))])
+    rows = np.flatnonzero(several[unit])
+    if not len(rows):
+        raise CalibrationError(
+            f"none of {len(units)} units was measured on two of {len(benches)} benches: nothing joins them"
+        )
+    if len(rows) > MOST_COMPARED:
+        raise Refused(
+            f"{len(rows)} calibrations join the benches; up to {MOST_COMPARED} are compared with their whole "
+            "covariance: narrow the question, as with after=, or ask for bench fleet effects"
+        )
+    there = [
+        _snapshot(Path(path), block).per(STANDARD_GRAVITY)
+        for path, block in zip(paths[rows], measured.unit[rows], strict=True)
+    ]
+    covariances = joint_covariances(there)
+    (names, of_unit), (stands, of_bench) = coded(measured.unit[rows]), coded(measured.bench[rows])
+    values = np.array([one.vector for one in there])
+    when = measured.when[rows]
+    days = int((when.max() - when.min()) / np.timedelta64(1, "D"))
+    drifted = (
+        f"over {days} days: what a unit changed by between its calibrations counts as a difference of benches",
+    )
+    taking = [Participants(values[:, k], covariances[k], of_unit, of_bench) for k in range(len(COEFFICIENTS))]
+    found = tuple(equivalence(one, method) for one in taking)
+    by_pair = tuple(pairs(one) for one in taking)
+    joint = joint_of(there)
+    return Compared(
+        benches=tuple(stands.tolist()),
+        units=tuple(names.tolist()),
+        alone=tuple(sorted(set(benches.tolist()) - set(stands.tolist()))),
+        found=found,
+        pairs=by_pair,
+        together=_benches_together(taking, found, joint),
+        pairs_together=_pairs_together(by_pair, joint),
+        calibrations=len(rows),
+        signal=measured.signal,
+        simulated=measured.simulated,
+        notes=(*notes, *drifted) if days else notes,
+    )
+
+
+def _benches_together(
+    taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
+) -> tuple[Together, ...]:
+    """Judge the degrees of equivalence of each bench, in all coefficients."""
+    degrees = np.stack([one.degree for one in found], axis=1)
+    u = np.stack([one.u_degree for one in found], axis=1)
+    maps = np.stack([one.map for one in found], axis=1)
+    own = np.stack(
+        [u_of(one.map @ of.covariance @ one.map.T) for of, one in zip(taking, found, strict=True)], axis=1
+    )
+    return together(degrees, u, np.array([joint.of_sums(one) for one in maps]), own)
+
+
+def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[Together, ...]:
+    """Judge what the benches of each pair differ by, in all coefficients."""
+    each = list(zip(*by_coefficient, strict=True))
+    u = np.array([[pair.u for pair in one] for one in each])
+    errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])
+    return together(np.array([[pair.difference for pair in one] for one in each]), u, errors, u)
+
+
+def _snapshot(folder: Path, block: str) -> Snapshot:
+    found = snapshots_in(folder / RESULT)
+    if len(found) != 1:
+        raise Refused(f"{folder / RESULT}: holds {len(found)} results, one was expected: bench calibrate")
+    return replace(found[0], block=block)

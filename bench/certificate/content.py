@@ -21,12 +21,11 @@ from bench.analysis.calibration.conformity import (
     DecisionRule,
     Statement,
 )
-from bench.analysis.calibration.verdict_words import by_rule
+from bench.analysis.calibration.verification import by_rule
 from bench.api.calibration import CalibrationResult
 from bench.api.verification import VerificationResult
 from bench.base.arrays import Floats, u_of
-from bench.certificate.laboratory import Laboratory, Person
-from bench.certificate.order import Order, UnitOrder
+from bench.certificate.laboratory import Laboratory, Order, Person, UnitOrder
 from bench.certificate.texts import Texts
 from bench.devices.certificates import Certificate as Held
 

@@ -16,16 +16,16 @@ from bench.analysis.budget.sources import hidden_sources
 from bench.analysis.budget.whole import dof_through
 from bench.analysis.calibration.conformity import DecisionRule
 from bench.analysis.calibration.derived import INVERSE, MISALIGNMENTS
-from bench.analysis.calibration.verdict_words import global_risk_in_words
+from bench.analysis.calibration.verification import global_risk_in_words
+from bench.api.bench_selection import origin_beside
 from bench.api.calibration import CalibrationResult, calibration_of, coefficient_unit
 from bench.api.errors import Refused
-from bench.api.origin import origin_beside
 from bench.api.provenance import record_head
 from bench.api.source import Request, Source, load_sources
 from bench.api.verification import NOTHING_ASKED, Asked, VerificationResult, verification_of
 from bench.base.arrays import u_of
+from bench.base.atomic_files import to_text
 from bench.base.visible import visible
-from bench.base.whole import to_text
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -39,12 +39,11 @@ from bench.certificate.content import (
     Values,
     uncertified,
 )
-from bench.certificate.laboratory import Laboratory
-from bench.certificate.order import Order
+from bench.certificate.laboratory import Laboratory, Order
 from bench.certificate.texts import Texts, texts_of
 from bench.model.block import COEFFICIENTS
+from bench.readings.columns import current_column, rails_of, voltage_column
 from bench.readings.csv import format_csv
-from bench.readings.rails import current_column, rails_of, voltage_column
 from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Readings
 from bench.run.folder import IMPORTED, Run
 from bench.run.seal import read_seal, seal_of

@@ -19,9 +19,8 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.api.errors import Refused
-from bench.base.json_text import read_json
-from bench.base.regular import open_regular, read_regular
-from bench.base.whole import write_whole
+from bench.base.atomic_files import write_whole
+from bench.base.files import open_regular, read_json, read_regular
 
 LINES: Final = "register.jsonl"
 MADE_FROM: Final = "made-from"

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from bench.api.errors import Refused
-from bench.base import progress
+from bench.base import computing
 from bench.base.visible import bounded, visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status; every mistake is a clear line on standard error."""
     given = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in given
-    hushed = progress.quiet.set("--quiet" in given)
+    hushed = computing.quiet.set("--quiet" in given)
     try:
         typed = [word for word in given if word not in ANYWHERE]
         status = app(typed or ["--help"], prog_name="bench", standalone_mode=False)
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
             traceback.print_exc()
         status = _fail(explain(error, _command_in(given)))
     finally:
-        progress.quiet.reset(hushed)
+        computing.quiet.reset(hushed)
     sys.exit(status if isinstance(status, int) else DONE)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from bench.base.threads import one_thread
+from bench.base.computing import one_thread
 from bench.cli import printing, progress
 from bench.cli.catalogue import CatalogueOption
 from bench.cli.options import (
@@ -213,10 +213,8 @@ def _carried_out(
     import duckdb  # noqa: F401 - it is there, before much is computed
     import pyarrow  # noqa: F401
 
-    from bench.batch.course import Course
-    from bench.batch.listing import list_runs
     from bench.batch.outcome import conclude
-    from bench.batch.store import Store
+    from bench.batch.store import Course, Store, list_runs
 
     printing.check_target(json)
     job = job.checked()

@@ -67,7 +67,7 @@ def budget(
     printing.check_target(json)
     with progress.shown():
         from bench.api import budget as api
-        from bench.api.taken import find_bench_file
+        from bench.api.bench_selection import find_bench_file
 
         taken = find_bench_file(bench)
         found = api.budget(
@@ -94,7 +94,7 @@ def budget(
 
 def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
     """Write the page and its figures. Raises `OSError`."""
-    from bench.report.budget.plots import figures
+    from bench.report.budget import figures
 
     folder.mkdir(parents=True, exist_ok=True)
     page = folder / "budget.html"

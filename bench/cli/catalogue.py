@@ -65,9 +65,9 @@ def sync(
     json: JsonOption = None,
 ) -> int:
     """Take what is new or changed in run folders into the catalogue; mark what is gone."""
-    from bench.catalogue.dues import due_units
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.sync import sync as synced
+    from bench.catalogue.unit import due_units
 
     printing.check_target(json)
     on = printing.console(json=json)
@@ -110,7 +110,7 @@ def ask(
     json: JsonOption = None,
 ) -> int:
     """Which runs, units, benches, instruments or certificates a question names."""
-    from bench.base.whole import write_whole
+    from bench.base.atomic_files import write_whole
     from bench.catalogue.answers import answer
     from bench.catalogue.store import open_catalogue
 
@@ -157,7 +157,7 @@ def unit(
     json: JsonOption = None,
 ) -> int:
     """One unit: its coefficients over time, its runs, when it is due."""
-    from bench.base.whole import write_whole
+    from bench.base.atomic_files import write_whole
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import unit_history
 
@@ -189,9 +189,9 @@ def due(
     json: JsonOption = None,
 ) -> int:
     """When units are due, by their drift; the first first."""
-    from bench.catalogue.dues import due_units
     from bench.catalogue.questions import moment
     from bench.catalogue.store import open_catalogue
+    from bench.catalogue.unit import due_units
 
     printing.check_target(json)
     try:

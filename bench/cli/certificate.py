@@ -203,7 +203,7 @@ def register(
 ) -> int:
     """What was issued: chain and files are checked; exit status 1 where one is not what it was."""
     from bench.certificate.laboratory import load_laboratory
-    from bench.certificate.listing import checked, handed_out
+    from bench.certificate.life import checked, handed_out
     from bench.certificate.register import opened
 
     printing.check_target(json)
@@ -291,10 +291,9 @@ def read(
 ) -> int:
     """Take coefficients with covariance out of a certificate; of an instrument's, print it for the bench file."""
     from bench.api.source import check_gravity
+    from bench.base.atomic_files import to_text, write_whole
     from bench.base.units import VOLTAGE, parse_quantity
-    from bench.base.whole import to_text, write_whole
-    from bench.certificate.dcc.instrument import section_of
-    from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients
+    from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients, section_of
 
     printing.check_target(json)
     check_gravity(g)
@@ -355,7 +354,7 @@ def _desk(
         raise Refused(f"a certificate needs {', '.join(lacking)}; a draft (--draft) needs none of them")
     schemas = None
     if schema is not None:
-        from bench.certificate.dcc.schema import read_schemas
+        from bench.certificate.dcc.rules import read_schemas
 
         schemas = read_schemas(schema)
     signatory = None

@@ -52,8 +52,8 @@ def chart(
     runs: RunsOption = RUNS,
 ) -> int:
     """Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control."""
-    from bench.api.chart_sources import charted_runs
     from bench.api.check_block import chart_of, with_options
+    from bench.api.check_runs import charted_runs
 
     printing.check_target(json)
     taken = charted_runs(sources or [str(runs)], runs, bench, real=real)
@@ -62,7 +62,7 @@ def chart(
     out = printing.console(json=json)
     print_chart(found, out)
     if page is not None:
-        from bench.base.whole import write_whole
+        from bench.base.atomic_files import write_whole
         from bench.report.control_chart import ChartOfBlock, render_chart
 
         of = ChartOfBlock(

@@ -22,8 +22,8 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.analysis.planning.remedies import Outlook
-    from bench.api.outlook import Findings
+    from bench.analysis.planning.settings import Outlook
+    from bench.api.until import Findings
 
 _WAYS_LISTED: Final = 2
 
@@ -43,7 +43,7 @@ def check(
     runs: RunsOption = RUNS,
 ) -> int:
     """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
-    from bench.api.outlook import look_ahead
+    from bench.api.until import look_ahead
 
     found = look_ahead(procedure, bench, runs, until or ())
     printing.write_json([found.to_json()], json)
@@ -59,8 +59,7 @@ def check(
 
 
 def _print(found: Findings, *, every_step: bool) -> None:
-    from bench.api.outlook import disk_space
-    from bench.api.until import outlook_in_words
+    from bench.api.until import disk_space, outlook_in_words
     from bench.procedure.check import switched_before
     from bench.procedure.listing import listing
     from bench.run.sentences import duration

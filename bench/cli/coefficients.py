@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.api.exchange import Given
+    from bench.api.documents import Given
     from bench.base.arrays import Floats
     from bench.exchange.result import BlockResult, Row
 
@@ -62,7 +62,7 @@ def coefficients(
     runs: RunsOption = RUNS,
 ) -> int:
     """What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel, for Kalibr, PX4, ArduPilot."""
-    from bench.api.exchange import forms_of, nominal_of, results_of
+    from bench.api.documents import forms_of, nominal_of, results_of
     from bench.api.source import Request
 
     printing.check_target(json)

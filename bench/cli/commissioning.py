@@ -16,10 +16,10 @@ def commission_bench(
 
     Raises `Refused` without a person or a folder, `FileMistakes`.
     """
-    from bench.api.commissioning import PAGE, Setting, commission, free_folder
-    from bench.api.taken import bench_path
+    from bench.api.bench_selection import bench_path
+    from bench.api.instruments import PAGE, Setting, commission, free_folder
     from bench.base.visible import visible
-    from bench.commission.evening import WISHES
+    from bench.commission.session import WISHES
     from bench.files.bench.file import load_bench
     from bench.report.commissioning import VERDICTS
     from bench.run.terminal import TerminalPerson

@@ -78,7 +78,7 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
     """
     from bench.analysis.history.comparison import Snapshot
     from bench.api.calibration import calibration_of
-    from bench.api.snapshots import date_of, snapshots_in
+    from bench.api.coefficients import date_of, snapshots_in
     from bench.api.source import load_sources
     from bench.run.manifest import MANIFEST
 
@@ -108,7 +108,7 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
 
 
 def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
-    from bench.api.snapshots import date_of
+    from bench.api.coefficients import date_of
 
     if len(dates) != len(snapshots):
         raise Refused(
@@ -191,8 +191,8 @@ def _drift_table(drift: Drift) -> Table:
 
 
 def _write(folder: Path, result: Comparison, written: dict[str, Any], out: Console) -> None:
-    from bench.base.whole import to_text, write_whole
-    from bench.report.history import history_figure
+    from bench.base.atomic_files import to_text, write_whole
+    from bench.report.figures import history_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     for what, name, text in (

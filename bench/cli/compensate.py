@@ -57,10 +57,9 @@ def compensate(
     runs: RunsOption = RUNS,
 ) -> int:
     """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
-    from bench.analysis.calibration.verdict_words import verdict_line
+    from bench.analysis.calibration.verification import verdict_line
     from bench.analysis.temperature.estimate import temperature_model
-    from bench.analysis.temperature.table import make_table
-    from bench.analysis.temperature.table_files import table_json
+    from bench.analysis.temperature.table import make_table, table_json
     from bench.api.compensation import sign_model
     from bench.api.source import Request, load_sources
 
@@ -145,8 +144,8 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
 def _write(
     source: Source, model: TemperatureModel, table: CompensationTable, result: dict[str, Any]
 ) -> dict[str, Path]:
-    from bench.analysis.temperature.table_files import c_header, table_csv
-    from bench.base.whole import to_text
+    from bench.analysis.temperature.table import c_header, table_csv
+    from bench.base.atomic_files import to_text
 
     unit = source.bench.unit_under_test
     of = f"{unit.type} {unit.serial}".strip() + f", from {source.name}"

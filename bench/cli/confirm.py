@@ -7,17 +7,9 @@ from typing import Annotated
 
 import typer
 
-from bench.base.threads import one_thread
+from bench.base.computing import one_thread
 from bench.cli import completing, printing, progress
-from bench.cli.options import (
-    RUNS,
-    BenchOption,
-    GravityOption,
-    JsonOption,
-    RunsOption,
-    SkipOption,
-    app,
-)
+from bench.cli.options import RUNS, BenchOption, GravityOption, JsonOption, RunsOption, SkipOption, app
 
 
 @app.command(epilog="Example: bench confirm unit-18 --model runs/unit-17/diagnose-model.yaml")

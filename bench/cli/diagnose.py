@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.base.progress import tracked
-from bench.base.threads import one_thread
+from bench.base.computing import one_thread, tracked
 from bench.cli import printing, progress
 from bench.cli.options import (
     RUNS,
@@ -236,7 +235,7 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
 
 def _written_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings) -> Path | None:
     """Write the readings with mistakes put right; None where there was none or it cannot be written."""
-    from bench.base.whole import write_whole
+    from bench.base.atomic_files import write_whole
 
     files = body.copy_files(mistakes, corrected)
     try:

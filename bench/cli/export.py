@@ -20,9 +20,9 @@ def export(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the readings of a run as a readings file."""
-    from bench.api.origin import SUFFIX, is_told
+    from bench.api.bench_selection import SUFFIX, is_told
     from bench.api.source import Request, load_sources
-    from bench.base.whole import write_whole
+    from bench.base.atomic_files import write_whole
     from bench.readings.csv import format_csv
 
     (source,) = load_sources(Request([run], runs))

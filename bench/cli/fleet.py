@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bench.analysis.intercomparison.measured import Measured
-    from bench.catalogue.across import Compared
-    from bench.catalogue.values import CoefficientTable
+    from bench.catalogue.values import CoefficientTable, Compared
 
 GROUP: Final = typer.Typer(
     name="fleet",
@@ -74,7 +73,7 @@ def compare(
     strict: Annotated[bool, typer.Option("--strict", help="A bench beyond U (k=2) is not accepted.")] = False,
 ) -> int:
     """Benches against one another on common units: degrees of equivalence, E_n, Birge ratio."""
-    from bench.catalogue.across import compared
+    from bench.catalogue.values import compared
     from bench.cli import fleet_tables
 
     printing.check_target(json)
@@ -121,7 +120,7 @@ def prior(
     if prior_out is not None:
         import yaml
 
-        from bench.base.whole import write_whole
+        from bench.base.atomic_files import write_whole
 
         write_whole(prior_out, yaml.safe_dump(result, sort_keys=False, allow_unicode=True, width=1000))
         printing.written("prior", prior_out, on)
@@ -208,7 +207,7 @@ def _table(query: list[str] | None, catalogue: str | None) -> CoefficientTable:
 
 
 def _measured(query: list[str] | None, catalogue: str | None) -> tuple[Measured, tuple[str, ...]]:
-    from bench.catalogue.across import measured_of
+    from bench.catalogue.values import measured_of
 
     measured, _, notes = measured_of(_table(query, catalogue))
     return measured, notes
@@ -233,8 +232,8 @@ def _date(text: str) -> Any:
 
 
 def _write_compared(folder: Path, found: Compared, result: dict[str, Any], on: Console) -> None:
-    from bench.base.whole import to_text, write_whole
-    from bench.report.equivalence import equivalence_figure
+    from bench.base.atomic_files import to_text, write_whole
+    from bench.report.figures import equivalence_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     figure = equivalence_figure(found.benches, found.found, found.signal)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bench.analysis.intercomparison.bench_or_block import BenchOrBlock
     from bench.analysis.intercomparison.capability import Capability
     from bench.analysis.intercomparison.prior import Prior
-    from bench.catalogue.across import Compared
+    from bench.catalogue.values import Compared
 
 MOST_SHOWN: Final = 12
 """Benches or units that are named in a terminal; the JSON has all."""

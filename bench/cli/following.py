@@ -14,9 +14,8 @@ from bench.api.each import done
 from bench.api.source import Request
 from bench.cli import printing
 from bench.cli.diagnose import diagnosed
-from bench.run.answers import YES
+from bench.run.answers import YES, ask
 from bench.run.folder import Run
-from bench.run.prompts import ask
 from bench.run.terminal import TerminalPerson
 from drivers.interfaces import NoAnswer, Prompt, PromptKind
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from bench.base.regular import read_regular
+from bench.base.files import read_regular
 from bench.cli import printing
 from bench.cli.options import RUNS, BenchOption, RunsOption, app
 
@@ -21,11 +21,10 @@ def import_(
     runs: RunsOption = RUNS,
 ) -> int:
     """Make a run of a readings file that was measured elsewhere."""
+    from bench.api.bench_selection import SUFFIX, bench_of, origin_beside
     from bench.api.errors import Refused
-    from bench.api.origin import SUFFIX, origin_beside
     from bench.api.provenance import versions
-    from bench.api.taken import bench_of
-    from bench.base.regular import read_given
+    from bench.base.files import read_given
     from bench.readings.csv import read_csv
     from bench.run.folder import BENCH, IMPORTED, Run, checked_name
     from bench.run.manifest import Manifest

@@ -71,11 +71,11 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
 
     Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
+    from bench.api.bench_selection import bench_path
     from bench.api.instruments import look_at
-    from bench.api.taken import bench_path
     from bench.api.traceability import remarks
     from bench.files.bench.file import load_bench
-    from bench.run.signals import Interrupts
+    from bench.run.interruptions import Interrupts
     from drivers.wire.log import logged_wire
 
     file = load_bench(bench_path(_named(bench)))

@@ -31,7 +31,7 @@ def key(
 ) -> int:
     """Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs; or one that signs certificates."""
     from bench.cli.passphrase import passphrase as typed
-    from bench.run.signing import new_key
+    from bench.run.seal import new_key
     from drivers.clock import utc_now
 
     cover = typed("Passphrase: ", again="Once more: ") if passphrase else None

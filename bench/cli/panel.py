@@ -86,8 +86,7 @@ def link_to(run: str, runs: Path) -> str:
 
 def _of_people(what: What, name: str | None, role: str, runs: Path) -> int:
     """Make, list or take back what people sign in with."""
-    from bench.panel.access.people import Role
-    from bench.panel.access.store import Access
+    from bench.panel.access import Access, Role
     from bench.panel.serving import is_serving, new_link
     from bench.panel.settings import STATE
 

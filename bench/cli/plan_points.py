@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.analysis.planning.points import Points
+    from bench.api.bench_selection import BenchTaken
     from bench.api.points import PaperPoints
-    from bench.api.taken import BenchTaken
 
 MOST_ANGLES: Final = 72
 
@@ -90,7 +90,7 @@ def plan_points(
     from bench.analysis.planning.points import Points, Sites, best_within, cheapest
     from bench.analysis.planning.settings import Cost
     from bench.api import points as api
-    from bench.api.taken import find_bench_file
+    from bench.api.bench_selection import find_bench_file
     from bench.model import ForwardModel
     from bench.readings.table import VERIFICATION
     from drivers.clock import utc_now

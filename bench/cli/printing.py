@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.api.errors import Refused
-from bench.base.progress import quiet
+from bench.base.computing import quiet
 from bench.base.visible import bounded, visible
 
 if TYPE_CHECKING:
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.analysis.calibration import Calibration, Noise
+    from bench.api.bench_selection import BenchTaken
     from bench.api.calibration import CalibrationResult
     from bench.api.source import Source
-    from bench.api.taken import BenchTaken
     from bench.api.verification import Asked, VerificationResult
 
 
@@ -75,7 +75,7 @@ def check_target(target: str | None) -> None:
 
 def write_json(results: list[dict[str, Any]], target: str | None) -> None:
     """Write one result, or a list of several in the order of the sources, to a file or standard output."""
-    from bench.base.whole import to_text, write_whole
+    from bench.base.atomic_files import to_text, write_whole
 
     if target is None:
         return
@@ -102,7 +102,7 @@ def failed(results: Sequence[object]) -> bool:
 
 def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
     """Write a derived file; say so and go on where the place is not writable, unless it was asked for."""
-    from bench.base.whole import write_whole
+    from bench.base.atomic_files import write_whole
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,7 +122,7 @@ def write_result(
 
     A result of other options than the run's own (`what_if`) is written beside the run's own, never over it.
     """
-    from bench.base.whole import to_text
+    from bench.base.atomic_files import to_text
 
     file = source.output(command, ".json", what_if=what_if)
     return file if write_beside(file, to_text(result), asked=source.request.out is not None) else None
@@ -236,9 +236,9 @@ def report(
     result: CalibrationResult, out: Console, asked: Asked | None = None
 ) -> tuple[VerificationResult | None, Path]:
     """Write the page of a calibration; return the verification that is in it, and the file. Raises `OSError`."""
-    from bench.api.page import report_page
+    from bench.api.documents import report_page
     from bench.api.verification import NOTHING_ASKED
-    from bench.base.whole import write_whole
+    from bench.base.atomic_files import write_whole
 
     page, verdict = report_page(result, asked or NOTHING_ASKED)
     what_if = result.source.what_if or (verdict is not None and verdict.otherwise)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from datetime import timedelta
 from typing import TYPE_CHECKING, Final
 
-from bench.base.progress import heard_by, quiet
+from bench.base.computing import heard_by, quiet
 from drivers.clock import Clock, SystemClock
 
 if TYPE_CHECKING:

@@ -9,14 +9,7 @@ import typer
 
 from bench.base.numbers import figures
 from bench.cli import printing, progress
-from bench.cli.options import (
-    BenchOption,
-    EstimatorOption,
-    JsonOption,
-    ProcedureOption,
-    WithEstimators,
-    app,
-)
+from bench.cli.options import BenchOption, EstimatorOption, JsonOption, ProcedureOption, WithEstimators, app
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,7 +17,7 @@ if TYPE_CHECKING:
 
     from bench.analysis.budget.error_source import ErrorSource
     from bench.analysis.planning.requirements import Limit
-    from bench.api.requirement import RequirementAnswer
+    from bench.api.budget import RequirementAnswer
 
 _MICRO: Final = 1e-6
 _SHOWN: Final = {
@@ -77,8 +70,8 @@ def require(
     """How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now."""
     printing.check_target(json)
     with progress.shown():
-        from bench.api.requirement import requirements
-        from bench.api.taken import find_bench_file
+        from bench.api.bench_selection import find_bench_file
+        from bench.api.budget import requirements
 
         taken = find_bench_file(bench)
 

@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.base.regular import read_regular
+from bench.base.files import read_regular
 from bench.cli import printing
 from bench.cli.options import (
     RUNS,
@@ -41,10 +41,10 @@ def resume(
     from bench.api.execution import carry_out
     from bench.api.heard import heard_in
     from bench.api.left_runs import refuse_missing_devices, taken_up, unfinished_run
+    from bench.run.asking import WishListener
     from bench.run.control import ControlFile
     from bench.run.folder import Run
-    from bench.run.listening import WishListener
-    from bench.run.signals import Interrupts
+    from bench.run.interruptions import Interrupts
     from bench.run.states import RunState
     from drivers.wire.log import logged_wire
 
@@ -73,7 +73,7 @@ def resume(
 
 def _accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
-    from bench.run.prompts import agree
+    from bench.run.answers import agree
     from drivers.interfaces import Prompt, PromptKind
 
     changes = _changed_since(run)

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from bench.api.source import Source
     from bench.run.folder import Run
+    from bench.run.interruptions import Interrupts
     from bench.run.manifest import VerdictAsked
-    from bench.run.signals import Interrupts
 
 _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 """What may be made of a finished run."""
@@ -94,7 +94,7 @@ def run(
 
     verdict: VerdictAsked | None = None
     if (limit, rule, guard_band) != (None, None, None):
-        from bench.api.taken import find_bench_file
+        from bench.api.bench_selection import find_bench_file
         from bench.api.verification import Asked, judgement_of
 
         asked = Asked(limit, rule, guard_band)
@@ -104,10 +104,10 @@ def run(
     def carried_out(procedure: str, name: str | None, seed: int) -> tuple[Run, int]:
         from bench.api.execution import carry_out, new_run
         from bench.api.heard import heard_in
+        from bench.run.asking import WishListener
         from bench.run.control import ControlFile
         from bench.run.folder import Run
-        from bench.run.listening import WishListener
-        from bench.run.signals import Interrupts
+        from bench.run.interruptions import Interrupts
         from drivers.wire.log import logged_wire
 
         new = new_run(
@@ -157,14 +157,14 @@ def charted(run: Run, out: Console) -> int:
 
     Of any other run there is nothing to say. Where no chart can be made, that is said: the run is finished.
     """
-    from bench.api.taken import own_bench
+    from bench.api.bench_selection import own_bench
 
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None:
         return 0
     from bench.api.check_block import chart_of, check_block_runs, is_check_block
-    from bench.base.whole import to_text
+    from bench.base.atomic_files import to_text
     from bench.cli.chart import print_chart
 
     if not is_check_block(bench, unit):
@@ -212,7 +212,7 @@ def conclude(run: Run, target: str | None = None) -> int:
     A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
     """
     from bench.api.source import Request, load_sources
-    from bench.base.whole import to_text, write_whole
+    from bench.base.atomic_files import to_text, write_whole
     from bench.run.folder import RESULTS
 
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
@@ -232,9 +232,9 @@ def _draw(run: Run, source: Source, target: str | None) -> int:
     """Draw the results from a finished run and write them into its folder. Raises `OSError`."""
     from bench.analysis.calibration import CalibrationError
     from bench.api.calibration import calibration_of
-    from bench.api.early_mistakes import told_in_words
+    from bench.api.diagnosis import told_in_words
     from bench.api.until import is_short
-    from bench.base.whole import to_text, write_whole
+    from bench.base.atomic_files import to_text, write_whole
 
     out = printing.console(json=target)
     short = is_short(run)

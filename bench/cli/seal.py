@@ -30,7 +30,7 @@ def seal(
     runs: RunsOption = RUNS,
 ) -> int:
     """Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time."""
-    from bench.api.sealing import seal_run
+    from bench.api.records import seal_run
     from bench.cli.passphrase import passphrase as typed
     from bench.run.folder import find_run
 

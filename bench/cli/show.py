@@ -38,8 +38,7 @@ def show(
 ) -> int:
     """Show what a run holds: inputs, events, readings."""
     from bench.api.provenance import record_head
-    from bench.api.records import run_summary, supply_in_words
-    from bench.api.sealing import proof_of
+    from bench.api.records import proof_of, run_summary, supply_in_words
     from bench.run.folder import find_run
 
     found = find_run(run, runs)

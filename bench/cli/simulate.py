@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.api.errors import Refused
-from bench.base.regular import read_regular
+from bench.base.files import read_regular
 from bench.cli import printing
 from bench.cli.options import BenchOption, ModelOption, app
 
@@ -77,8 +77,8 @@ def _serve(
 
     Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
     """
+    from bench.api.bench_selection import bench_path
     from bench.api.simulated_truth import simulated_truth
-    from bench.api.taken import bench_path
     from bench.assembly.served import served_bench
     from bench.files.bench.file import load_bench
 
@@ -153,7 +153,7 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 def _held(host: str, port: int | None) -> Iterator[None]:
     """Hold the first of the ports that were chosen: who would serve there as well is told who does."""
     from bench.assembly.served import HELD
-    from bench.base.cache import cache_folder
+    from bench.base.files import cache_folder
     from drivers.wire.holding import Holding
 
     if not port:
@@ -196,7 +196,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
     """Yield what Ctrl-C, SIGTERM and a closed terminal set in place of ending the program."""
-    from bench.run.signals import SIGNALS
+    from bench.run.interruptions import SIGNALS
 
     ended = threading.Event()
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bench.api.errors import Refused
+from bench.base.computing import tracked
 from bench.base.numbers import MINUS, probability, quantity
-from bench.base.progress import tracked
 from bench.cli import printing, progress
 from bench.cli.options import RUNS, BenchOption, JsonOption, OutOption, RunsOption, app
 
@@ -19,11 +19,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.stability.advice import Averaging, ReadingAdvice
-    from bench.analysis.stability.allan import AllanCurve
-    from bench.analysis.stability.noise_terms import NoiseTerms
+    from bench.analysis.stability.noise_terms import AllanCurve, Averaging, NoiseTerms, ReadingAdvice
     from bench.analysis.stability.static_record import StaticRecord
-    from bench.api.taken import BenchTaken
+    from bench.api.bench_selection import BenchTaken
     from bench.files.bench.file import BenchFile
 
 AXES = "xyz"
@@ -89,8 +87,7 @@ class _Findings:
 
 def _bench_of(record: str, runs: Path, bench: str | None) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file asked for, else that of the run or told beside the record, else the usual one."""
-    from bench.api.origin import Told, origin_beside
-    from bench.api.taken import bench_of
+    from bench.api.bench_selection import Told, bench_of, origin_beside
     from bench.run.folder import BENCH, Run
 
     if Path(record).is_file():
@@ -125,9 +122,7 @@ def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, floa
 
 def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integration_s: float) -> _Findings:
     from bench.analysis.calibration import CalibrationError
-    from bench.analysis.stability.advice import averaging, reading_advice
-    from bench.analysis.stability.allan import allan_curve
-    from bench.analysis.stability.noise_terms import fit_terms
+    from bench.analysis.stability.noise_terms import allan_curve, averaging, fit_terms, reading_advice
 
     channels = tracked(range(3), "Allan deviation of the channels")
     curves = [allan_curve(record.signal[:, i], record.interval_s) for i in channels]
@@ -245,8 +240,8 @@ def _stem(record: str, runs: Path, out: Path | None) -> Path:
 def _write(
     stem: Path, record: StaticRecord, found: _Findings, result: dict[str, Any], *, asked: bool
 ) -> dict[str, Path]:
-    from bench.base.whole import to_text
-    from bench.report.stability import allan_figure
+    from bench.base.atomic_files import to_text
+    from bench.report.figures import allan_figure
 
     longest = max(average.tau_s for average in found.averages)
     texts = {

@@ -49,8 +49,8 @@ def tumble(
     runs: RunsOption = RUNS,
 ) -> int:
     """Each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
+    from bench.api.compensation import tumble_of
     from bench.api.source import Request, load_sources
-    from bench.api.tumble import tumble_of
 
     printing.check_target(json)
     loaded = load_sources(Request(sources, runs, bench, None, g, out, skip_bad_rows))

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol, runtime_checkable
 
-from bench.commission.evening import Evening
-from bench.commission.finding import Figure, Finding, State
 from bench.commission.meters import quick
-from bench.devices.thermometers import ThermometerForm
-from bench.devices.wires import WiredForm
+from bench.commission.session import Evening, Figure, Finding, State
+from bench.devices.device import WiredForm
+from bench.devices.sections import ThermometerForm
 from drivers.interfaces import BenchError, Instrument, PowerSupply, ThermalChamber, Voltmeter
 
 CABLE: Final = "cable pulled"

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from bench.commission import chambers, heads, meters, platform, supplies
+from bench.commission import heads, meters, surroundings
 from bench.commission.cables import check_cables
-from bench.commission.evening import Evening, Skipped
-from bench.commission.finding import Finding, State
+from bench.commission.session import Evening, Finding, Skipped, State
 from bench.run.same_serial import same_serials
 from drivers.interfaces import Instrument
 
@@ -30,8 +29,8 @@ class Part:
 
 def _limits(evening: Evening) -> None:
     heads.check_limits(evening)
-    chambers.check_limits(evening)
-    supplies.check_limits(evening)
+    surroundings.check_chamber_limits(evening)
+    surroundings.check_supply_limits(evening)
 
 
 def _identities(evening: Evening) -> None:
@@ -79,25 +78,25 @@ PARTS: Final = (
     Part(
         "chamber",
         "The chamber is read and put into standby.",
-        chambers.check_standby,
+        surroundings.check_standby,
         applies=lambda evening: evening.instruments.chamber is not None,
     ),
     Part(
         "power supply",
         "Its outputs are read. Nothing is set or switched.",
-        supplies.check_outputs,
+        surroundings.check_outputs,
         applies=lambda evening: evening.instruments.power_supply is not None,
     ),
     Part(
         "level",
         "The head is set to 0°, the level read on the platform in two positions half a turn apart.",
-        platform.check_level,
+        surroundings.check_level,
         applies=lambda evening: evening.instruments.level is not None,
     ),
     Part(
         "thermometer",
         "The thermometer at the block is read.",
-        platform.check_thermometer,
+        surroundings.check_thermometer,
         applies=lambda evening: evening.instruments.thermometer is not None,
     ),
     Part(

@@ -9,9 +9,8 @@ from functools import partial
 from typing import Final, Protocol, runtime_checkable
 
 from bench.base.words import APPROACH, degrees
-from bench.commission.evening import Evening, NoteWith
-from bench.commission.finding import Figure, Finding, State
-from bench.devices.heads import MotorisedHeadForm
+from bench.commission.session import Evening, Figure, Finding, NoteWith, State
+from bench.devices.sections import MotorisedHeadForm
 from drivers.angles import format_dms
 from drivers.interfaces import BenchError, Direction, DividingHead, LimitExceeded
 from drivers.making_safe import SEE_IT_STANDS, Attempts

@@ -11,8 +11,7 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 
 from bench.base.numbers import scale_for
-from bench.commission.evening import Evening
-from bench.commission.finding import Figure, Finding, State
+from bench.commission.session import Evening, Figure, Finding, State
 from bench.devices.voltmeters import VoltmeterForm
 from bench.run.workbench import QUICK_NPLC
 from drivers.interfaces import Channel, Voltmeter, VoltmeterSettings

@@ -8,9 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from bench.base.arrays import ARCSEC
-from bench.devices.device import Device
-from bench.devices.heads import HeadTruth, MotorisedHeadForm, SpeedRadS
-from bench.devices.wires import resource_on
+from bench.devices.device import Device, resource_on
+from bench.devices.sections import HeadTruth, MotorisedHeadForm, SpeedRadS
 from drivers.acutrol import facts as acutrol
 
 

@@ -6,9 +6,8 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator
 
-from bench.devices.device import Device
-from bench.devices.supplies import OF_THE_UNIT, WiredSupplyForm
-from bench.devices.wires import PortSection, usual_baud_rate
+from bench.devices.device import Device, PortSection, usual_baud_rate
+from bench.devices.sections import OF_THE_UNIT, WiredSupplyForm
 from drivers.aim_tti import facts as aim
 
 

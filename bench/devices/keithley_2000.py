@@ -6,9 +6,8 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator, model_validator
 
-from bench.devices.device import Device
+from bench.devices.device import Device, Port, PortSection, is_serial, usual_baud_rate
 from bench.devices.voltmeters import OneChannelForm, VoltmeterTruth
-from bench.devices.wires import Port, PortSection, is_serial, usual_baud_rate
 from drivers.keithley_2000 import facts as keithley
 
 

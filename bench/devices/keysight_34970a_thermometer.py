@@ -7,9 +7,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, model_validator
 
 from bench.base.units import DurationS
-from bench.devices.device import Device
-from bench.devices.thermometers import ThermometerForm, ThermometerTruth
-from bench.devices.wires import PortSection, WiredForm, any_resource
+from bench.devices.device import Device, PortSection, WiredForm, any_resource
+from bench.devices.sections import ThermometerForm, ThermometerTruth
 from drivers.keysight_34970a import facts as multiplexer
 from drivers.keysight_34970a.sensors import PAIRED, SENSORS
 
@@ -76,7 +75,7 @@ DEVICE = Device(
     "keysight-34970a-thermometer",
     Keysight34970AThermometerSection,
     driver="drivers.keysight_34970a.thermometer:Keysight34970AThermometer",
-    simulation="sim.keysight_34970a.probe:meter_with_probe",
+    simulation="sim.keysight_34970a.multiplexer:meter_with_probe",
     example={"resource": "TCPIP0::192.0.2.70::5025::SOCKET", "channel": "104"},
     simulated=("error", "noise", "air_share"),
     place=1,

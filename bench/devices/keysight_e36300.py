@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal
 
 from bench.devices.device import Device
-from bench.devices.supplies import OF_THE_UNIT, WiredSupplyForm
+from bench.devices.sections import OF_THE_UNIT, WiredSupplyForm
 from drivers.keysight_e36300 import facts as keysight
 
 

@@ -6,10 +6,9 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator
 
-from bench.devices.device import Device
-from bench.devices.supplies import OF_THE_UNIT, SupplyTruth, WiredSupplyForm
+from bench.devices.device import Device, usual_baud_rate
+from bench.devices.sections import OF_THE_UNIT, SupplyTruth, WiredSupplyForm
 from bench.devices.voltmeters import SerialSection
-from bench.devices.wires import usual_baud_rate
 from drivers.keysight_e3631a import facts as keysight
 
 

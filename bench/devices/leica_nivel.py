@@ -7,9 +7,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from bench.base.units import DurationS
-from bench.devices.device import Device
-from bench.devices.levels import LevelForm, LevelTruth
-from bench.devices.wires import PortSection, WiredForm, resource_on
+from bench.devices.device import Device, PortSection, WiredForm, resource_on
+from bench.devices.sections import LevelForm, LevelTruth
 from drivers.leica_nivel import facts as nivel
 
 Axis = Literal["+X", "-X", "+Y", "-Y"]

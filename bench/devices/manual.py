@@ -9,12 +9,17 @@ from pydantic import Field, field_validator, model_validator
 
 from bench.base.forms import FileModel
 from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV
-from bench.devices.chambers import ChamberForm, SizeK, TemperatureRange
 from bench.devices.device import Device
-from bench.devices.heads import HeadForm
-from bench.devices.levels import LevelForm
-from bench.devices.supplies import OF_THE_UNIT, SupplyForm
-from bench.devices.thermometers import ThermometerForm
+from bench.devices.sections import (
+    OF_THE_UNIT,
+    ChamberForm,
+    HeadForm,
+    LevelForm,
+    SizeK,
+    SupplyForm,
+    TemperatureRange,
+    ThermometerForm,
+)
 from drivers.interfaces import OutputLimits, SupplyLimits
 
 
@@ -207,7 +212,7 @@ DEVICE = (
     Device(
         "manual-thermometer",
         ManualThermometerSection,
-        driver="drivers.manual.thermometer:ManualThermometer",
+        driver="drivers.manual.chamber:ManualThermometer",
         simulation=None,
         example={"minimum": "-60 degC", "maximum": "150 degC"},
         place=0,

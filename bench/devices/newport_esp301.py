@@ -7,9 +7,15 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
-from bench.devices.device import Device
-from bench.devices.heads import HeadTruth, MotorisedHeadForm
-from bench.devices.wires import IdentityPattern, PortSection, any_resource, as_stated, usual_baud_rate
+from bench.devices.device import (
+    Device,
+    IdentityPattern,
+    PortSection,
+    any_resource,
+    as_stated,
+    usual_baud_rate,
+)
+from bench.devices.sections import HeadTruth, MotorisedHeadForm
 from drivers.newport_esp301 import facts as newport
 
 _BEYOND_DEG: Final = 5.0

@@ -26,11 +26,10 @@ from typing import Annotated, Any, Final, Literal, Union, get_args
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, create_model
 
 from bench.devices import FOLDERS
-from bench.devices.device import Device, DeviceSection, Role
-from bench.devices.supplies import SUPPLY_FACTS, SupplyForm
+from bench.devices.device import WIRE_FACTS, Device, DeviceSection, Role, WiredForm
+from bench.devices.sections import SUPPLY_FACTS, SupplyForm
 from bench.devices.unknown import OF_ROLE
 from bench.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm
-from bench.devices.wires import WIRE_FACTS, WiredForm
 
 GROUP: Final = "triaxial_bench.devices"
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from bench.devices.chambers import OF_THE_AIR, ChamberTruth, ControlledChamberForm
-from bench.devices.device import Device
-from bench.devices.wires import IdentityPattern, PortSection, as_stated, resource_on
+from bench.devices.device import Device, IdentityPattern, PortSection, as_stated, resource_on
+from bench.devices.sections import OF_THE_AIR, ChamberTruth, ControlledChamberForm
 from drivers.thermotron import facts as thermotron
 
 

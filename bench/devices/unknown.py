@@ -8,12 +8,8 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
 from bench.base.units import SizeRad
 from bench.devices.certificates import VoltmeterCertificate
-from bench.devices.chambers import ChamberForm, SizeK
 from bench.devices.device import DeviceSection, Role
-from bench.devices.heads import HeadForm
-from bench.devices.levels import LevelForm
-from bench.devices.supplies import SupplyForm
-from bench.devices.thermometers import ThermometerForm
+from bench.devices.sections import ChamberForm, HeadForm, LevelForm, SizeK, SupplyForm, ThermometerForm
 from bench.devices.voltmeters import VoltmeterForm, VoltmeterKind
 from drivers.interfaces import BenchError, Channel, SupplyLimits
 

@@ -12,8 +12,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 from bench.base.forms import FileModel
 from bench.base.units import DurationS, VoltageV
 from bench.devices.certificates import VoltmeterCertificate, of_known_ranges
-from bench.devices.device import Role
-from bench.devices.wires import WiredForm, any_resource, usual_baud_rate
+from bench.devices.device import Role, WiredForm, any_resource, usual_baud_rate
 from drivers.interfaces import Channel, VoltmeterLimits
 
 VOLTMETER_FACTS: Final = (

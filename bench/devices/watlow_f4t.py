@@ -7,9 +7,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from bench.base.units import TemperatureC
-from bench.devices.chambers import OF_THE_AIR, ChamberTruth, ControlledChamberForm
-from bench.devices.device import Device
-from bench.devices.wires import IdentityPattern, resource_on
+from bench.devices.device import Device, IdentityPattern, resource_on
+from bench.devices.sections import OF_THE_AIR, ChamberTruth, ControlledChamberForm
 from drivers.watlow_f4t import facts as f4t
 
 

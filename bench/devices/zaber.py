@@ -7,9 +7,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, model_validator
 
-from bench.devices.device import Device
-from bench.devices.heads import HeadTruth, MotorisedHeadForm
-from bench.devices.wires import IdentityPattern, PortSection, resource_on
+from bench.devices.device import Device, IdentityPattern, PortSection, resource_on
+from bench.devices.sections import HeadTruth, MotorisedHeadForm
 from drivers.zaber import facts as zaber
 
 _BEYOND_DEG: Final = 5.0

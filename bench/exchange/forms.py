@@ -7,11 +7,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from bench.base.arrays import Floats
-from bench.exchange.autopilots import ardupilot_notes, ardupilot_param, px4_notes, px4_params
-from bench.exchange.kalibr import kalibr_notes, kalibr_yaml
+from bench.exchange.autopilots import (
+    ardupilot_notes,
+    ardupilot_param,
+    kalibr_notes,
+    kalibr_yaml,
+    px4_notes,
+    px4_params,
+)
+from bench.exchange.documents import c_header, csv_text, json_text, workbook
 from bench.exchange.result import BlockResult
-from bench.exchange.texts import c_header, csv_text, json_text
-from bench.exchange.workbook import workbook
 
 
 @dataclass(frozen=True)

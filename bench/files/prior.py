@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from bench.base.form_mistakes import Place
 from bench.base.forms import FileModel, load_validated, part
+from bench.base.yaml_text import Place
 from bench.model.block import COEFFICIENTS
 
 Row = Annotated[tuple[float, ...], Field(min_length=len(COEFFICIENTS), max_length=len(COEFFICIENTS))]

@@ -1,13 +1,8 @@
-"""Exact geometry of a block on the platform of a dividing head.
-
-The shaft lies along y of the platform. In the frame of the local level the specific force at rest is
-+1 g upwards (the reaction to gravity). The chain, after the paper's (3)-(4) made exact: tilt the
-vertical by the axis tilt alpha1, turn by phi + alpha2 + alpha4 about the shaft, turn by the mounting
-angles, then name the axes of the block by the installation.
-"""
+"""Exact geometry of a block on the platform of a dividing head; normal gravity."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -117,3 +112,24 @@ def specific_force_on_platform(angle_rad: Floats, stand_rad: Floats) -> Floats:
     x, y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
     y, z = np.cos(roll) * y + np.sin(roll) * z, -np.sin(roll) * y + np.cos(roll) * z
     return np.stack([x, y, z], axis=-1)
+
+
+_EQUATOR_M_S2: Final = 9.7803253359
+_SOMIGLIANA_K: Final = 0.00193185265241
+_ECCENTRICITY_SQUARED: Final = 0.00669437999014
+_SEMI_MAJOR_M: Final = 6378137.0
+_FLATTENING: Final = 1 / 298.257223563
+_M: Final = 0.00344978650684
+
+
+def normal_gravity_m_s2(latitude_rad: float, height_m: float = 0.0) -> float:
+    """Return normal gravity in m/s² at a geodetic latitude and a height above the ellipsoid.
+
+    Local anomalies (some 1e-4 to 1e-3 m/s²) are not in it. Raises `ValueError` for a latitude beyond the poles.
+    """
+    if not abs(latitude_rad) <= math.pi / 2 + 1e-9:
+        raise ValueError(f"a latitude lies between -90° and 90°, not at {math.degrees(latitude_rad):g}°")
+    s2 = math.sin(latitude_rad) ** 2
+    on_ellipsoid = _EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * s2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * s2)
+    h = height_m / _SEMI_MAJOR_M
+    return on_ellipsoid * (1 - 2 * (1 + _FLATTENING + _M - 2 * _FLATTENING * s2) * h + 3 * h**2)

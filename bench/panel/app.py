@@ -17,10 +17,10 @@ from bench.api.errors import Refused
 from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
-from bench.panel import assets, look
-from bench.panel.access.gate import Gate
-from bench.panel.access.people import Refusal
-from bench.panel.pages import catalogue, check, control, live, refused, runs, sign_in, start, verdict
+from bench.panel import look
+from bench.panel import look as assets
+from bench.panel.access import Gate, Refusal
+from bench.panel.pages import catalogue, check, control, live, runs, shown, sign_in, start, verdict
 from bench.panel.panel import Panel
 from bench.panel.settings import Settings
 from bench.readings.csv import ReadingsError
@@ -68,11 +68,11 @@ def make_app(settings: Settings) -> Starlette:
     app = Starlette(
         routes=ROUTES,
         lifespan=_preparing(panel),
-        middleware=[Middleware(Gate, settings=settings, refuse=refused.refused)],
+        middleware=[Middleware(Gate, settings=settings, refuse=shown.refused)],
         exception_handlers={
-            HTTPException: refused.by_framework,
-            Refusal: refused.by_refusal,
-            **dict.fromkeys(KNOWN, refused.by_record),
+            HTTPException: shown.by_framework,
+            Refusal: shown.by_refusal,
+            **dict.fromkeys(KNOWN, shown.by_record),
         },
     )
     app.state.panel = panel
@@ -81,8 +81,8 @@ def make_app(settings: Settings) -> Starlette:
 
 LATE: Final = (
     "bench.analysis.calibration.conformity",
-    "bench.analysis.calibration.verdict_words",
-    "bench.api.chart_sources",
+    "bench.analysis.calibration.verification",
+    "bench.api.check_runs",
     "bench.api.check_block",
     "bench.api.left_runs",
     "bench.report.control_chart",

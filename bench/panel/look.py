@@ -1,4 +1,4 @@
-"""How the panel looks: one way to fill its templates, and its style and script by name."""
+"""The panel's templates, style and script, each at an address of its content."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from importlib.resources import files
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from starlette.requests import Request
+from starlette.responses import Response
 
 from bench.base.numbers import typeset
 from bench.base.visible import visible
+from bench.panel.access import Refusal
 from bench.run.manifest import sha256
 
 REPORT_STYLE: Final = "report.css"
@@ -70,3 +73,14 @@ def page(name: str, **content: Any) -> str:
     What a page does not give to its template is an error.
     """
     return visible(_environment().get_template(name).render(**content))
+
+
+KEPT = {"cache-control": "public, max-age=31536000, immutable"}
+
+
+async def send_asset(request: Request) -> Response:
+    """Send a file of ours; what was in it under another address is gone."""
+    name = request.path_params["name"]
+    if name not in ASSETS or request.scope["path"] != asset(name):
+        raise Refusal(404, "there is no such file")
+    return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 
-from bench.panel.access.store import Access
-from bench.panel.certificates import Certificates
-from bench.panel.folder import RunsFolder
+from bench.panel.access import Access
+from bench.panel.folder import Certificates, RunsFolder
 from bench.panel.following.stream import Followers
 from bench.panel.holding import read_holding
-from bench.panel.launching.detached import Started
-from bench.panel.launching.wish import Wishes
+from bench.panel.launching import Started, Wishes
 from bench.panel.settings import STATE, Settings
 from bench.panel.table import RunsTable
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from bench.base.atomic_files import from_text
 from bench.base.numbers import rounded, scale_for, uncertainty
-from bench.base.whole import from_text
-from bench.panel.access.people import Refusal
+from bench.panel.access import Refusal
 from bench.panel.folder import read_page
 from bench.run.folder import Run
 
@@ -138,7 +138,7 @@ def is_plain(path: Path) -> bool:
 
 
 def _in_words(probability: Any) -> str:
-    from bench.analysis.calibration.verdict_words import optional_probability  # takes long to import
+    from bench.analysis.calibration.verification import optional_probability  # takes long to import
 
     return optional_probability(None if probability is None else float(probability))
 
@@ -184,7 +184,7 @@ def _point(one: Mapping[str, Any], size: float, rule: str) -> PointRow:
 def _statement(told: Mapping[str, Any], rule: str) -> str:
     """Return a statement as its rule makes it; an old result has none."""
     from bench.analysis.calibration.conformity import Statement  # takes long to import
-    from bench.analysis.calibration.verdict_words import by_rule
+    from bench.analysis.calibration.verification import by_rule
 
     passed = bool(told["passed"])
     return str(

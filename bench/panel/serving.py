@@ -13,12 +13,10 @@ from urllib.parse import quote, urlsplit
 
 from filelock import FileLock, Timeout
 
-from bench.base.regular import read_regular
-from bench.base.whole import from_text, to_text, write_whole
-from bench.panel.access.kept import private_folder
-from bench.panel.access.people import Refusal
-from bench.panel.access.store import Access
-from bench.panel.launching.detached import Started, start, wait_until
+from bench.base.atomic_files import from_text, to_text, write_whole
+from bench.base.files import read_regular
+from bench.panel.access import Access, Refusal, private_folder
+from bench.panel.launching import Started, start, wait_until
 from bench.panel.settings import PORT, STATE, Settings, is_loopback
 from bench.run.manifest import RecordError
 

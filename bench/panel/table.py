@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.api.records import run_summary
-from bench.base.regular import open_regular
+from bench.base.files import open_regular
 from bench.panel.folder import RunsFolder
-from bench.run.digest import Digests
-from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Run
+from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Digests, Run
 from bench.run.manifest import EVENTS, MANIFEST, RecordError
 from bench.run.record import is_being_written
 from drivers.clock import Clock, SystemClock

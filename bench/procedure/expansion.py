@@ -8,17 +8,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from bench.base.form_mistakes import Place
 from bench.base.forms import Document, FileMistake
+from bench.base.yaml_text import Place
 from bench.procedure.file import (
+    FailureSection,
     IncludedFile,
     InputVerb,
     InstallationVerb,
     LevelVerb,
     PowerVerb,
     PromptVerb,
+    ReadingSection,
     ReadVerb,
     RepeatVerb,
+    SettleForm,
+    SettleVerb,
     StepEntry,
     TemperaturesVerb,
     TemperatureVerb,
@@ -39,7 +43,6 @@ from bench.procedure.plan import (
     Turn,
     Wait,
 )
-from bench.procedure.sections import FailureSection, ReadingSection, SettleForm, SettleVerb
 from bench.procedure.steps import mount_in_words
 from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Direction

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from bench.base.collecting import uncollected
-from bench.base.form_mistakes import Place
+from bench.base.computing import uncollected
+from bench.base.files import MEGABYTE
 from bench.base.forms import Document, FileMistake, FileMistakes, load_document, part, validated
-from bench.base.regular import MEGABYTE
+from bench.base.yaml_text import Place
 from bench.procedure.check import check
 from bench.procedure.expansion import Expansion
 from bench.procedure.file import IncludedFile, ProcedureFile

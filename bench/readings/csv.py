@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.base.regular import read_given
+from bench.base.files import read_given
 from bench.base.visible import shortened
 from bench.base.words import repeated
-from bench.readings.cells import as_cell, of_cell
+from bench.readings.cells import BadCell, angle, as_cell, direction, integer, number, of_cell, temperature
+from bench.readings.columns import LEVEL_COLUMNS, is_of_a_rail, wrong_level_cell
 from bench.readings.doubtful import doubtful
-from bench.readings.level_columns import LEVEL_COLUMNS, wrong_level_cell
-from bench.readings.numbers import BadCell, angle, direction, integer, number, temperature
-from bench.readings.rails import is_of_a_rail
 from bench.readings.table import (
     CHAMBER_C,
     FREE,

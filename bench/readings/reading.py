@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.readings.supplied import Rail, columns_of
+from bench.readings.columns import Rail, columns_of
 from bench.readings.table import (
     CHAMBER_C,
     REFERENCE_V,

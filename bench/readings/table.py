@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from bench.base.arrays import Floats, Ints, Labels
 from bench.base.visible import shortened
 from bench.model.conditions import Conditions
-from bench.readings.level_columns import level_rad
-from bench.readings.rails import above_nominal_v
+from bench.readings.columns import above_nominal_v, level_rad
 
 VERIFICATION: Final = "V"
 FREE: Final = "F"

@@ -2,8 +2,7 @@
 
 import logging
 
-from bench.report.content import ReportContent
-from bench.report.page import render_report, write_report
+from bench.report.page import ReportContent, render_report, write_report
 
 # where its folder for settings cannot be made it goes on without, and nobody who reads a report need know
 logging.getLogger("matplotlib").setLevel(logging.ERROR)

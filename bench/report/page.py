@@ -1,18 +1,19 @@
-"""From the content of a report to one HTML page that needs nothing but itself."""
+"""The report of a calibration: its content, and the one HTML page made of it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from markupsafe import Markup
 
-from bench.analysis.calibration import Calibration, LackOfFit, Verification
 from bench.analysis.calibration.conformity import Statement
-from bench.analysis.calibration.verdict_words import (
+from bench.analysis.calibration.result import Calibration, LackOfFit
+from bench.analysis.calibration.verification import (
+    Verification,
     advice,
     global_risk_in_words,
     headline,
@@ -21,8 +22,35 @@ from bench.analysis.calibration.verdict_words import (
 )
 from bench.base.numbers import probability, rounded, scale_for, uncertainty
 from bench.report import plots, tables
-from bench.report.content import ReportContent
 from bench.report.template import page
+
+
+@dataclass(frozen=True)
+class ReportContent:
+    """Everything that the page says; it adds nothing of its own, no date and no version.
+
+    `verification` is None where no verification point was measured. `compared` is the same data by another
+    estimator, such as the closed form beside generalised least squares; one by the same estimator is left
+    out. `provenance` is shown as it comes, name and text (run, procedure, bench file and hashes, operator,
+    unit under test, versions, dates). `notes` and `skipped` are sentences on the readings. `simulated` puts
+    a banner over the page.
+    """
+
+    title: str
+    calibration: Calibration
+    verification: Verification | None = None
+    compared: Calibration | None = None
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+    simulated: bool = False
+
+    @property
+    def other(self) -> Calibration | None:
+        """The calibration to compare with, where there is one by another estimator."""
+        if self.compared is None or self.compared.estimator == self.calibration.estimator:
+            return None
+        return self.compared
 
 
 def render_report(content: ReportContent) -> str:

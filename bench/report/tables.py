@@ -12,7 +12,7 @@ from markupsafe import Markup
 from bench.analysis.budget.propagation import correlation_of
 from bench.analysis.calibration import Calibration, Estimate, Noise, Verification
 from bench.analysis.calibration.design import SYMBOLS
-from bench.analysis.calibration.verdict_words import optional_probability
+from bench.analysis.calibration.verification import optional_probability
 from bench.base.arrays import ARCSEC, CHANNELS, u_of
 from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, uncertainty
 from bench.model.block import COEFFICIENTS

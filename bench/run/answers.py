@@ -1,30 +1,26 @@
-"""Answers to a run's questions: left in its folder by another program, and what is wrong with one.
-
-A question that can be answered from more than one place stands in the record with an id of its own (`asked`). An
-answer names that id. The program that carries out the run takes the first that fits and refuses every other; what
-it did with an answer stands in the record, and nowhere else.
-"""
+"""Answers to the questions of a run: left in its folder, checked, asked for again."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from bench.base.files import open_regular
 from bench.base.numbers import read_number
-from bench.base.regular import open_regular
 from bench.base.visible import in_json, shortened
 from bench.run.control import NOBODY_KNOWN, Who
 from bench.run.events import Event, EventType
-from drivers.angles import format_dms, parse_angle, read_angle
-from drivers.interfaces import Prompt, PromptKind
-from drivers.typed import typed_bubble, typed_supply, typed_temperature
+from drivers.angles import format_dms, parse_angle, read_angle, typed_bubble, typed_supply, typed_temperature
+from drivers.interfaces.errors import BenchError
+from drivers.interfaces.person import Person, Prompt, PromptKind
 
 if TYPE_CHECKING:
     from bench.run.history import History
+
 
 ANSWERS: Final = "answers.jsonl"
 LONGEST: Final = 4000
@@ -318,3 +314,44 @@ def _between(prompt: Prompt, value: float) -> float:
 
 def _spaced(angle_rad: float) -> str:
     return format_dms(angle_rad, 1).replace("°", "° ").replace("′", "′ ")
+
+
+MOST_ATTEMPTS: Final = 20
+MOST_WAITS: Final = 1000
+"""So often may a task be answered with "no": more is nobody who reads the question."""
+
+
+def ask(person: Person, prompt: Prompt) -> str:
+    """Put the prompt until its answer fits; return the answer's text, the default for an empty one.
+
+    `prompt.id` is the step's key; "#1", "#2"… is added for each attempt, and an answer to another id is
+    stale and ignored. Raises `NoAnswer` when nobody answers, `BenchError` after five answers that do not fit.
+    """
+    text = prompt.text
+    for attempt in range(1, MOST_ATTEMPTS + 1):
+        put = replace(prompt, id=f"{prompt.id}#{attempt}", text=text)
+        answer = person.ask(put)
+        given = answer.text.strip() or (prompt.default or "")
+        problem = "the answer belongs to an earlier question" if answer.prompt_id != put.id else ""
+        problem = problem or problem_with_answer(prompt, given)
+        if not problem:
+            return given
+        text = f"{problem[0].upper()}{problem[1:]}. {prompt.text}"
+    raise BenchError("operator", f"no usable answer to {prompt.text!r}", "read the question again")
+
+
+def confirm(person: Person, prompt: Prompt) -> None:
+    """Have a task done; "no" waits: the question stands again until it is. Raises what `ask` raises."""
+    put = prompt
+    for wait in range(1, MOST_WAITS + 1):
+        if ask(person, put).lower() not in NO:
+            return
+        text = f"There is no hurry: say yes when it is done. {prompt.text}"
+        put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
+    raise BenchError("operator", f"answered no again and again to: {prompt.text}", "go on when it is done")
+
+
+def agree(person: Person, prompt: Prompt) -> None:
+    """Ask for leave to go on. Raises `BenchError` when the person says no, beside what `ask` raises."""
+    if ask(person, prompt).lower() in NO:
+        raise BenchError("operator", f"answered no to: {prompt.text}", "go on when that is settled")

@@ -1,26 +1,74 @@
-"""Asks the person of a run wherever an answer may come from: at the terminal, and in the run's folder.
-
-Each question is put on record before it is asked (`asked`), with an id that no other has. The first answer that
-fits counts (`answered`); every other is refused, and on record, too (`answer_refused`). Nothing is ever assumed
-answered: where a run goes on after a kill, its question is put anew, with another id.
-"""
+"""Asks the operator wherever the answer may come from, and hears wishes while a run goes on."""
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 from bench.run.answers import AnswersFile, LeftAnswer, asked_to_json, problem_with_answer
-from bench.run.control import NOBODY_KNOWN, Controls, NoControls, RunControl, raised
+from bench.run.control import NOBODY_KNOWN, ControlFile, Controls, NoControls, RunControl, Stopped, raised
 from bench.run.events import EventType
-from bench.run.listening import LISTEN_S
+from bench.run.interruptions import interrupt_main
 from bench.run.states import Wish
-from bench.run.terminal import TerminalPerson
-from bench.run.typing_help import heard_at
+from bench.run.terminal import TerminalPerson, heard_at
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import Answer, NoAnswer, Prompt
+from drivers.interfaces.errors import NoAnswer
+from drivers.interfaces.person import Answer, Prompt
+
+LISTEN_S: Final = 0.1
+"""So often is looked for what was left in a run's folder."""
+
+
+class WishListener:
+    """The wishes left in a folder (`Controls`); within its context one to stop interrupts the program.
+
+    `stopped` is the first wish to stop that was heard.
+    """
+
+    def __init__(self, controls: ControlFile, interrupt: Callable[[], None] = interrupt_main) -> None:
+        self.stopped: RunControl | None = None
+        self._controls = controls
+        self._interrupt = interrupt
+        self._waiting: deque[RunControl] = deque()
+        self._taking = threading.Lock()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="wishes", daemon=True)
+
+    def __enter__(self) -> WishListener:
+        if threading.current_thread() is threading.main_thread():
+            self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def poll(self) -> RunControl | None:
+        """Return the next wish, None where there is none. Raises `Stopped` for one to stop."""
+        if (stop := self._take_in()) is not None:
+            raise Stopped(stop)
+        return self._waiting.popleft() if self._waiting else None
+
+    def _listen(self) -> None:
+        while not self._over.wait(LISTEN_S):
+            if self._take_in() is not None:
+                self._interrupt()
+
+    def _take_in(self) -> RunControl | None:
+        """Take in what was left; return a wish to stop, which comes before all others."""
+        with self._taking:
+            while (control := self._controls.poll()) is not None:
+                if control.wish is Wish.STOP:
+                    self.stopped = self.stopped or control
+                    return control
+                self._waiting.append(control)
+        return None
+
 
 LOOK_S: Final = 1.0
 """So often `meanwhile` is called while a question waits."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from bench.base.regular import open_regular
+from bench.base.files import open_regular
 from bench.base.visible import in_json
 from bench.run.states import Wish
 

@@ -6,18 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from bench.procedure.plan import Mount, Plan, Read, SetTemperature
-from bench.run.answers import REASON, problem_with_answer
+from bench.run.answers import MOST_ATTEMPTS, REASON, problem_with_answer
 from bench.run.control import OperatorWish, RunControl
 from bench.run.events import Event
-from bench.run.prompts import MOST_ATTEMPTS
-from bench.run.resume import (
-    Progress,
-    end_of_point,
-    first_of_pass,
-    last_of_pass,
-    latest_turn,
-    turn_before,
-)
+from bench.run.resume import Progress, end_of_point, first_of_pass, last_of_pass, latest_turn, turn_before
 from bench.run.states import Wish
 from drivers.interfaces import BenchError, NoAnswer, Person, Prompt, PromptKind
 

@@ -13,9 +13,8 @@ from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, Final, overload
 
-from bench.base.collecting import uncollected
-from bench.base.json_text import read_json
-from bench.base.regular import open_regular, read_regular
+from bench.base.computing import uncollected
+from bench.base.files import open_regular, read_json, read_regular
 from bench.readings.reading import Reading
 from bench.run.events import Event, EventType, Levelled
 from bench.run.manifest import EVENTS, MANIFEST, RecordError, changed_inputs, sha256

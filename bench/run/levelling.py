@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from bench.base.arrays import ARCSEC
+from bench.run.answers import confirm
 from bench.run.events import Levelled
-from bench.run.prompts import confirm
 from drivers.angles import wrapped_rad
 from drivers.interfaces import (
     BadReading,

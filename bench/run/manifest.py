@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Final, TypedDict, cast
 
-from bench.base.regular import read_regular
+from bench.base.files import read_regular
 
 EVENTS: Final = "events.jsonl"
 MANIFEST: Final = "run.json"

@@ -21,7 +21,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from bench.base.regular import open_regular
+from bench.base.files import open_regular
 from bench.base.visible import in_json
 from bench.run.events import Event, EventType
 from bench.run.history import History, read_history

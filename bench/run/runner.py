@@ -15,9 +15,8 @@ from typing import Any, Final
 
 from bench.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
+from bench.run.answers import confirm
 from bench.run.asking import Asker
-from bench.run.chamber_watch import SLOW_AFTER_S
-from bench.run.clock_watch import ClockWatch
 from bench.run.control import (
     NOBODY_KNOWN,
     Controls,
@@ -30,16 +29,15 @@ from bench.run.control import (
 )
 from bench.run.events import Event, EventType, result_to_json
 from bench.run.halt import how_to_go_on, pause_prompt, redo_from
+from bench.run.interruptions import ClockWatch
 from bench.run.manifest import RecordError
-from bench.run.power import Feeding, UnitPower
-from bench.run.power_up import begin, take_up
-from bench.run.prompts import confirm
+from bench.run.power import Feeding, UnitPower, begin, take_up
 from bench.run.record import Record
 from bench.run.resume import Progress, ResumePoint, end_of_point, is_still_to_be_read
 from bench.run.same_serial import agree_to_others, same_serials
-from bench.run.settling import Settling
+from bench.run.settling import SLOW_AFTER_S, Settling
 from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
-from bench.run.watch.sign import EarlySign
+from bench.run.watch.expectation import EarlySign
 from bench.run.way_out import how_it_stopped, leave_safe
 from bench.run.workbench import NAP_S, Instruments, Workbench
 from drivers.clock import Clock, SystemClock

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Final
 
-from bench.run.prompts import agree
+from bench.run.answers import agree
 from drivers.interfaces import Identity, Person, Prompt, PromptKind
 
 NO_SERIAL: Final = frozenset({"", "0", "-"})

@@ -1,25 +1,33 @@
-"""The seal of a run: what its record was when it had ended, to be signed and time-stamped.
-
-The last hash of the chain stands for every line before it, but only where it is known from elsewhere: who can write
-the folder can take lines off the end, or make a whole new chain. A seal names that hash and the number of events;
-what it proves is what its signature, its time stamp or a copy of it in other hands proves.
-"""
+"""Seals of runs: the laboratory's key, the signature, the RFC 3161 time stamp."""
 
 from __future__ import annotations
 
 import base64
 import binascii
+import hashlib
+import http.client
 import json
+import os
+import stat
+import urllib.error
+import urllib.request
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
+from urllib.parse import urlsplit
 
-from bench.base.regular import read_regular
-from bench.base.whole import to_text, write_whole
+from bench.base.atomic_files import to_text, write_whole
+from bench.base.extras import missing
+from bench.base.files import read_given, read_regular
 from bench.run.folder import Run
 from bench.run.manifest import MANIFEST, RecordError, sha256
 from bench.run.states import ENDED
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
 
 SEAL: Final = "seal.json"
 FORMAT: Final = 1
@@ -154,3 +162,247 @@ def write_seal(folder: Path, seal: Seal) -> Path:
 def signed(seal: Seal, public_key: str, signature: bytes) -> Seal:
     """Return a seal with its signature; a time stamp of before would not be of it."""
     return replace(seal, public_key=public_key, signature=signature, time_stamp=b"")
+
+
+def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
+    """Make a key pair; return the file of the public key and its fingerprint.
+
+    The private key's file is for its owner alone (0600), in a folder that is (0700): one that is missing is made.
+    Raises `RecordError` where there is a file already, and for a folder that others may enter.
+    """
+    _, ed25519 = _cryptography()
+    public = file.with_name(file.name + ".pub")
+    key = ed25519.Ed25519PrivateKey.generate()
+    write_private(file, key, passphrase, {public: _public_pem(key.public_key())})
+    return public, fingerprint(key.public_key())
+
+
+def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[Path, str]) -> None:
+    """Write a private key (PKCS#8, PEM) for its owner alone, and beside it the texts that everybody may read.
+
+    Raises `RecordError` where there is a file already, and for a folder that others may enter.
+    """
+    serialization, _ = _cryptography()
+    for one in (file, *beside):
+        if one.exists():
+            raise RecordError(f"{one}: there is a file of that name; a key is never written over")
+    try:
+        if not file.absolute().parent.is_dir():
+            file.absolute().parent.mkdir(parents=True, mode=0o700)
+        _check_folder(file)
+        cover = (
+            serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
+        )
+        pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, cover)
+        with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as private:
+            private.write(pem)
+        for path, text in beside.items():
+            path.write_text(text, encoding="ascii")
+    except OSError as error:
+        raise RecordError(f"{error.filename}: cannot be written ({error.strerror})") from error
+
+
+def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKey:
+    """Read the private key that signs seals; `passphrase` is asked for where it has one.
+
+    Raises `RecordError` for a file that others may read, and for one that is no such key.
+    """
+    _, ed25519 = _cryptography()
+    key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {file}' makes one")
+    if not isinstance(key, ed25519.Ed25519PrivateKey):
+        raise RecordError(f"{file}: a key of another kind; 'bench key FILE' makes one of Ed25519")
+    return cast("Ed25519PrivateKey", key)
+
+
+def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> Any:
+    """Read a private key of any kind from a file that is its owner's alone; `wanted` says what it should be.
+
+    Raises `RecordError` for a file that others may read, and for one that is no key.
+    """
+    serialization, _ = _cryptography()
+    try:
+        pem = read_given(file)
+        mode = file.stat().st_mode
+    except OSError as error:
+        raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
+    if os.name == "posix" and stat.S_IMODE(mode) & 0o077:
+        raise RecordError(
+            f"{file}: others may use this private key (mode {stat.S_IMODE(mode):o}); chmod 600 {file}, and if "
+            "it may have been copied make another"
+        )
+    _check_folder(file)
+    try:
+        return _loaded(serialization, pem, passphrase)
+    except (ValueError, TypeError) as error:
+        raise RecordError(f"{file}: not a private key ({wanted}), or another passphrase") from error
+
+
+def _loaded(serialization: Any, pem: bytes, passphrase: Callable[[], bytes]) -> Any:
+    if b"ENCRYPTED" in pem:
+        return serialization.load_pem_private_key(pem, passphrase())
+    return serialization.load_pem_private_key(pem, None)
+
+
+def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:
+    """Return the public key (PEM) and the signature of a message."""
+    return _public_pem(key.public_key()), key.sign(message)
+
+
+def public_key(pem: str, where: str) -> Ed25519PublicKey:
+    """Return the public key of a text. Raises `RecordError` for what is none."""
+    serialization, ed25519 = _cryptography()
+    try:
+        key = serialization.load_pem_public_key(pem.encode())
+    except ValueError as error:
+        raise RecordError(f"{where}: not a public key (PEM)") from error
+    if not isinstance(key, ed25519.Ed25519PublicKey):
+        raise RecordError(f"{where}: a key of another kind than Ed25519")
+    return cast("Ed25519PublicKey", key)
+
+
+def read_public_key(file: Path) -> Ed25519PublicKey:
+    """Return the public key in a file. Raises `RecordError`."""
+    try:
+        return public_key(read_regular(file).decode("ascii"), str(file))
+    except OSError as error:
+        raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError:
+        raise RecordError(f"{file}: not a public key (PEM)") from None
+
+
+def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
+    """Whether a signature of a message was made with the private half of this key."""
+    from cryptography.exceptions import InvalidSignature
+
+    try:
+        key.verify(signature, message)
+    except InvalidSignature:
+        return False
+    return True
+
+
+def fingerprint(key: Ed25519PublicKey) -> str:
+    """Return the SHA-256 of a public key (its 32 bytes), by which people compare keys."""
+    return hashlib.sha256(key.public_bytes_raw()).hexdigest()
+
+
+def _public_pem(key: Ed25519PublicKey) -> str:
+    serialization, _ = _cryptography()
+    return key.public_bytes(
+        serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
+    ).decode()
+
+
+def _check_folder(file: Path) -> None:
+    """Raise `RecordError` where others may enter the folder of a private key."""
+    folder = file.absolute().parent
+    mode = stat.S_IMODE(folder.stat().st_mode)
+    if os.name == "posix" and mode & 0o077:
+        raise RecordError(
+            f"{folder}: a private key stands in a folder of its owner's alone, and others may enter this one "
+            f"(mode {mode:o}); chmod 700 {folder}, or choose another"
+        )
+
+
+def _cryptography() -> tuple[Any, Any]:
+    try:
+        from cryptography.hazmat.primitives import serialization
+        from cryptography.hazmat.primitives.asymmetric import ed25519
+    except ImportError as error:
+        raise RecordError(missing(error) or str(error)) from error
+    return serialization, ed25519
+
+
+WAIT_S: Final = 20.0
+MOST_BYTES: Final = 1_000_000
+
+
+class NoTimeStamp(RecordError):
+    """A server gave no time stamp, or none for what was asked."""
+
+
+@dataclass(frozen=True)
+class TimeStamp:
+    """The time in a time stamp, and whether a trusted authority stands behind it."""
+
+    time: datetime
+    trusted: bool
+
+
+def check_server(url: str) -> None:
+    """Refuse what is no address of a server. Raises `NoTimeStamp`."""
+    parts = urlsplit(url)
+    if parts.scheme not in {"http", "https"} or not parts.hostname:
+        raise NoTimeStamp(f"--timestamp {url}: not the address of a server (http://… or https://…)")
+
+
+def ask_time_stamp(url: str, message: bytes) -> bytes:
+    """Have a server stamp the SHA-256 of a message; return its response (DER). Raises `NoTimeStamp`."""
+    try:
+        import rfc3161_client as rfc3161
+    except ImportError as error:
+        raise NoTimeStamp(missing(error) or str(error)) from error
+    check_server(url)
+    builder = rfc3161.TimestampRequestBuilder().data(message).hash_algorithm(rfc3161.HashAlgorithm.SHA256)
+    asked = builder.build()
+    answer = _post(url, asked.as_bytes())
+    try:
+        response = rfc3161.decode_timestamp_response(answer)
+        granted = response.status in {0, 1}
+        told = response.tst_info if granted else None
+    except ValueError as error:
+        raise NoTimeStamp(f"{url}: no time stamp (it answered with something else)") from error
+    if told is None:
+        raise NoTimeStamp(f"{url}: no time stamp, the server refused ({', '.join(response.status_string)})")
+    if told.nonce != asked.nonce or told.message_imprint.message != hashlib.sha256(message).digest():
+        raise NoTimeStamp(f"{url}: no time stamp (it answered for something else)")
+    return answer
+
+
+def _post(url: str, body: bytes) -> bytes:
+    """Send a request, answered with no more than a time stamp has. Raises `NoTimeStamp`."""
+    headers = {"Content-Type": "application/timestamp-query"}
+    request = urllib.request.Request(url, body, headers)  # noqa: S310 - the scheme was looked at
+    try:
+        with urllib.request.urlopen(request, timeout=WAIT_S) as answer:  # noqa: S310
+            got: bytes = answer.read(MOST_BYTES)
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        reason = error.reason if isinstance(error, urllib.error.URLError) else error
+        raise NoTimeStamp(f"{url}: no time stamp ({reason}); ask again when the server is there") from error
+    return got
+
+
+def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> TimeStamp:
+    """Return what a time stamp says of a message; `authority` holds the certificates that are trusted (PEM).
+
+    Without one the time is what the stamp says, and nobody stands for it. Raises `NoTimeStamp` where the stamp is
+    not one of this message, or not by this authority.
+    """
+    try:
+        import rfc3161_client as rfc3161
+        from cryptography import x509
+    except ImportError as error:
+        raise NoTimeStamp(missing(error) or str(error)) from error
+    try:
+        decoded = rfc3161.decode_timestamp_response(response)
+        told = decoded.tst_info
+    except ValueError as error:
+        raise NoTimeStamp("its time stamp is damaged") from error
+    if told.message_imprint.message != hashlib.sha256(message).digest():
+        raise NoTimeStamp("its time stamp is not one of this seal")
+    if authority is None:
+        return TimeStamp(told.gen_time, trusted=False)
+    try:
+        roots = x509.load_pem_x509_certificates(read_given(authority))
+    except OSError as error:
+        raise NoTimeStamp(f"{authority}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise NoTimeStamp(f"{authority}: not a certificate (PEM)") from error
+    builder = rfc3161.VerifierBuilder()
+    for root in roots:
+        builder = builder.add_root_certificate(root)
+    try:
+        builder.build().verify_message(decoded, message)
+    except (rfc3161.VerificationError, ValueError) as error:
+        raise NoTimeStamp(f"its time stamp is not by the authority in {authority} ({error})") from error
+    return TimeStamp(told.gen_time, trusted=True)

@@ -1,13 +1,17 @@
-"""Events in a line each, for a person: at the terminal, in the log of a run."""
+"""Events of a run as sentences: at the terminal and in the plain log."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from bench.base.numbers import figures, scale_for
-from bench.run.events import Event, EventType
+from bench.base.visible import visible
+from bench.procedure.plan import Plan
+from bench.readings.reading import Reading
+from bench.run.events import Answered, Event, EventType, Turned
 
 TERMINAL: Final = "terminal"
 """Where somebody is who answers and wishes at the run's own terminal."""
@@ -175,3 +179,50 @@ def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str
     if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:
         return None
     return size_in_words((now["u"] - then["u"]) / (takes_s / 60.0), now["unit"])
+
+
+LOG = "run.log"
+
+
+class RunLog:
+    """An observer of a run that appends lines to `run.log`. It is derived: a full disk stops it, not the run."""
+
+    def __init__(self, folder: Path, plan: Plan) -> None:
+        self._plan = plan
+        self._path = folder / LOG
+
+    def __call__(self, event: Event) -> None:
+        """Append a line for an event; the beginnings of steps are left out, their ends say as much."""
+        if event.type == EventType.STEP_STARTED:
+            return
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(
+                    visible(
+                        f"{event.time[:19]}  {duration(event.bench_s):>11}  {in_words(event, self._plan)}\n"
+                    )
+                )
+        except OSError:
+            return
+
+
+def in_words(event: Event, plan: Plan) -> str:
+    """Return an event of a run of that plan as a line."""
+    if event.type == EventType.STEP_STARTED:
+        return f"begun: {plan.steps[event.step].describe()}"
+    if event.type == EventType.ASKED:
+        return f"asked: {event.data['text']}"
+    if event.type in (EventType.ANSWERED, EventType.ANSWER_REFUSED):
+        return said(event)
+    if event.type != EventType.STEP_DONE:
+        why = event.data.get("error") or event.data.get("reason")
+        return f"{event.type}: {why}" if why else sentence(event)
+    text = plan.steps[event.step].describe()
+    match event.result:
+        case Reading(mean=mean, unit=unit):
+            text += "  " + "  ".join(f"{value:+.8f}" for value in mean) + f" {unit}"
+        case Turned(angle_deg=angle):
+            text += f"  read {angle:.6f}°"
+        case Answered(answer=answer):
+            text += f"  {answer}"
+    return text

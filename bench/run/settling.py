@@ -1,21 +1,17 @@
-"""Settled means settled: a quantity has come to rest when a whole window of samples says so.
-
-Settled is: every sample of the last `window_s`, and one sample at least that old, lie within `precision` of
-each other (peak to peak, each signal for itself), and within `precision` of the target where one is given.
-A step anywhere in the window therefore starts it anew. The rule is that of NICOS's `HasWindowTimeout`, with
-the peak-to-peak span in place of a target that the signals of a block do not have.
-"""
+"""Settling: a quantity is at rest when a whole window of samples says so; a chamber that hardly moves."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Any, Final
 
+from bench.run.events import EventType
 from drivers.clock import Clock
-from drivers.interfaces import BenchError
+from drivers.interfaces.errors import BenchError
+from drivers.interfaces.instruments import ThermalChamber
 
 LEAST_SAMPLES: Final = 6
 """Samples that a window holds before an approach is estimated from it."""
@@ -227,3 +223,57 @@ def _not_settled(
     )
     remedy = "look for what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
     return NotSettled(place, cause, remedy, state)
+
+
+SLOW_AFTER_S: Final = 300.0
+"""When it is looked at where the bench file says nothing."""
+LEAST_SHARE: Final = 0.2
+LEAST_WAY_K: Final = 2.0
+"""A shorter way says nothing: a sensor's noise and the air's lag are of its size."""
+
+
+@dataclass
+class ChamberWatch:
+    """Looks `slow_after_s` after each demand where the air is; `tell` is told of less than 20 % of the way."""
+
+    clock: Clock
+    slow_after_s: float
+    tell: Callable[[EventType, dict[str, Any]], None]
+    _way_c: tuple[float, float] | None = field(default=None, init=False)
+    _begun_s: float = field(default=0.0, init=False)
+
+    def begin(self, chamber: ThermalChamber, target_c: float, key: str) -> None:
+        """Take note of where the air is when a temperature has been demanded; a person is not asked."""
+        self._way_c = None
+        if chamber.asks_person:
+            return
+        try:
+            start_c = chamber.temperature(key, settling=True)
+        except BenchError:
+            return  # the step that needs the temperature will meet it
+        if abs(target_c - start_c) >= LEAST_WAY_K:
+            self._way_c, self._begun_s = (start_c, target_c), self.clock.now_s()
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to look."""
+        return self._way_c is not None and self.clock.now_s() - self._begun_s >= self.slow_after_s
+
+    def look(self, chamber: ThermalChamber | None, key: str) -> None:
+        """Look where the air is, when it is time to."""
+        if chamber is None or not self.due:
+            return
+        try:
+            self.take(chamber.name, chamber.temperature(key, settling=True))
+        except BenchError:
+            self._way_c = None  # as above
+
+    def take(self, name: str, air_c: float) -> None:
+        """Judge a temperature of the air that was read for something else, when it is time to."""
+        if self._way_c is None or not self.due:
+            return
+        (start_c, target_c), self._way_c = self._way_c, None
+        if (air_c - start_c) / (target_c - start_c) < LEAST_SHARE:
+            after_s = self.clock.now_s() - self._begun_s
+            way = {"start_c": start_c, "air_c": air_c, "target_c": target_c}
+            self.tell(EventType.CHAMBER_SLOW, {"chamber": name, "after_s": round(after_s, 3), **way})

@@ -1,28 +1,178 @@
-"""The terminal: asks the person at the bench, shows how far a run has come."""
+"""The operator's terminal: questions, typed lines, help, progress and time left."""
 
 from __future__ import annotations
 
 import io
+import os
+import select
+import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any, Final, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
-from bench.base.progress import quiet
+from bench.base.computing import quiet
 from bench.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.control import NOBODY_KNOWN, SIGN, Who, parse_wish, raised
 from bench.run.events import Event, EventType
+from bench.run.resume import steps_of
 from bench.run.sentences import duration, sentence
 from bench.run.settling import Settling
-from bench.run.states import Wish
-from bench.run.time_left import TimeLeft
-from bench.run.typed_line import SLICE_S, LineReader
-from bench.run.typing_help import HELP, heard_at, typing_help
-from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
+from bench.run.states import HEARD, RunState, Wish
+from drivers.interfaces.errors import NoAnswer
+from drivers.interfaces.person import Answer, Prompt, PromptKind
+
+SLICE_S: Final = 1.0
+
+
+class LineReader:
+    """Reads lines of a stream, one for each question.
+
+    All happens in one thread, and what is typed while something else is done waits in the terminal, so no answer is
+    lost. A stream of no terminal, file or pipe of the system (nor any on Windows) cannot be waited for so: it is
+    read as it comes, and nothing is done until it is there.
+    """
+
+    def __init__(self, answers: TextIO) -> None:
+        self._answers = answers
+        self._descriptor = _descriptor(answers)
+        self._begun = bytearray()
+
+    def read(self, meanwhile: Callable[[], None] | None = None, slice_s: float = SLICE_S) -> str:
+        """Return the next line with its end; empty where the answers have ended.
+
+        Until it is there `meanwhile` is called every `slice_s`; what that raises ends the question, and the rest of
+        a line that was begun for it is no answer to the next.
+        """
+        if self._descriptor is None:
+            return self._answers.readline()
+        while True:
+            late = bool(self._begun)  # for a question that was ended
+            line = self._rest_of_line(self._descriptor, meanwhile, slice_s)
+            if late and line.endswith(b"\n"):
+                continue
+            return "" if late else line.decode(self._answers.encoding or "utf-8", "backslashreplace")
+
+    def _rest_of_line(self, descriptor: int, meanwhile: Callable[[], None] | None, slice_s: float) -> bytes:
+        # byte by byte: what a stream had read ahead, the system would not say to be there
+        while not self._begun.endswith(b"\n"):
+            if meanwhile is not None and not select.select([descriptor], [], [], slice_s)[0]:
+                meanwhile()
+            elif byte := os.read(descriptor, 1):
+                self._begun += byte
+            else:
+                break
+        line, self._begun = bytes(self._begun), bytearray()
+        return line
+
+
+def _descriptor(answers: TextIO) -> int | None:
+    if sys.platform == "win32":  # which can wait for sockets alone
+        return None
+    try:
+        return answers.fileno()
+    except (OSError, ValueError):
+        return None
+
+
+HELP: Final = "?"
+"""An answer that asks what can be answered."""
+
+MEANINGS: Final = {
+    Wish.PAUSE: "wait; nothing on the bench moves until you go on",
+    Wish.CONTINUE: "go on after a pause",
+    Wish.REPEAT_POINT: "take the last point again; its last reading counts",
+    Wish.REPEAT_PASS: "take the last pass again from its first point",
+    Wish.MOUNT_AGAIN: "mount the block again, then take the last pass again",
+    Wish.SKIP: "leave this point out, with the reason in the record",
+    Wish.STOP: "leave the bench safe and stop, as Ctrl-C does; 'bench resume' goes on",
+    Wish.ABORT: "end the run for good; what was read is kept",
+}
+
+_ANSWERS: Final = {
+    PromptKind.CONFIRM: "yes (or y, ok, done) when it is done; no waits and asks again",
+    PromptKind.ANGLE: "the angle on the scale, such as 45 00 10 or 45°00′10″ or 45.0028",
+    PromptKind.NUMBER: "a number",
+    PromptKind.CHOOSE: "one of: ",
+}
+
+
+def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
+    """Return the wishes that have something to act on at a prompt of a run."""
+    if prompt.action["do"] == "ask" or (prompt.action["do"] == "mount" and prompt.choices):
+        return (Wish.PAUSE, Wish.STOP, Wish.ABORT)  # no step goes on yet, or any more
+    state = RunState.PAUSED if prompt.action["do"] == "wait" else RunState.RUNNING
+    return tuple(wish for wish in Wish if wish in HEARD[state])
+
+
+def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
+    """Return lines that say what can be typed; `wishes` may have their meanings where these are not a run's."""
+    meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
+    answer = _ANSWERS[prompt.kind] + ", ".join(prompt.choices)
+    if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
+        answer = "yes, or no"
+    if prompt.kind is PromptKind.NUMBER:
+        answer += f" in {prompt.unit}" if prompt.unit else ""
+        answer += "" if prompt.minimum is None else f", {prompt.minimum:g} at least"
+        answer += "" if prompt.maximum is None else f", {prompt.maximum:g} at most"
+    lines = ["What can be typed here:", f"  {answer}"]
+    if prompt.default is not None:
+        lines.append(f"  Enter alone: {prompt.default}")
+    for wish in wishes:
+        typed = f"{SIGN}{wish.value}" + (" REASON" if wish is Wish.SKIP else "")
+        lines.append(f"  {typed}: {meanings[wish]}")
+    return "\n".join(lines)
+
+
+SLOW_TO_LEARN_S: Final = 1800.0
+"""After so much bench time the pace of the run itself counts as much as the plan's expectation."""
+
+
+class TimeLeft:
+    """Says from the expected time of each step, s, how much is left at one that begins."""
+
+    def __init__(self, step_s: Sequence[float]) -> None:
+        self._step_s = list(step_s)
+        self._out: set[int] = set()
+        self._left_s = _from_each_on(self._step_s)
+        self._begun: tuple[int, float] | None = None
+
+    def choose(self, chosen: Mapping[str, Any]) -> None:
+        """Take note of what was chosen: steps that are not needed, and the time expected of those not decided."""
+        self._out |= steps_of(chosen["left_out"])
+        self._out -= steps_of(chosen.get("taken_up", ()))
+        step_s = [0.0 if i in self._out else seconds for i, seconds in enumerate(self._step_s)]
+        if (open_s := chosen.get("undecided")) is not None:
+            place = slice(int(open_s["first"]), int(open_s["last"]) + 1)
+            whole_s = sum(step_s[place])
+            part = float(open_s["takes_s"]) / whole_s if whole_s > 0 else 0.0
+            step_s[place] = [part * seconds for seconds in step_s[place]]
+        self._left_s = _from_each_on(step_s)
+
+    def begin(self, index: int, bench_s: float) -> None:
+        """Say at which step, and when, what sets the pace began."""
+        self._begun = (index, bench_s)
+
+    def at(self, index: int, bench_s: float) -> float:
+        """Return the time left at the step `index` that begins at `bench_s`; the first asked about began the
+        run."""
+        if self._begun is None:
+            self._begun = (index, bench_s)
+        first, begun_s = self._begun
+        expected_s = self._left_s[first] - self._left_s[index]
+        pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
+        return pace * self._left_s[index]
+
+
+def _from_each_on(step_s: Sequence[float]) -> list[float]:
+    """Return the time of each step with all after it, s; none at the end."""
+    return [*reversed(list(accumulate(reversed(step_s)))), 0.0]
+
 
 HINTS: Final = {
     PromptKind.CONFIRM: "yes/no",

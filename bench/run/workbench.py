@@ -24,10 +24,10 @@ from bench.procedure.plan import (
     Wait,
 )
 from bench.procedure.steps import in_scan_order, read_order
+from bench.readings.columns import Rail, between
 from bench.readings.reading import Reading
-from bench.readings.supplied import Rail, between
+from bench.run.answers import ask, confirm
 from bench.run.block_temperature import told_at_mounting, told_at_reading
-from bench.run.chamber_watch import SLOW_AFTER_S, ChamberWatch
 from bench.run.events import (
     Answered,
     CameToRest,
@@ -42,11 +42,9 @@ from bench.run.events import (
 )
 from bench.run.levelling import Levelling
 from bench.run.mounting import UNTOUCHED, mount_prompt, untouched_prompt
-from bench.run.power import UnitPower
-from bench.run.power_up import warm_up
-from bench.run.prompts import ask, confirm
+from bench.run.power import UnitPower, warm_up
 from bench.run.samples import describe
-from bench.run.settling import Criterion, Settling, wait_until_settled
+from bench.run.settling import SLOW_AFTER_S, ChamberWatch, Criterion, Settling, wait_until_settled
 from drivers import interfaces
 from drivers.clock import Clock
 from drivers.interfaces import (

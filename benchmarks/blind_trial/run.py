@@ -30,16 +30,7 @@ from benchmarks.blind_trial.known import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPA
 from benchmarks.blind_trial.mistakes import MISTAKES
 from benchmarks.blind_trial.noises import NOISES
 from benchmarks.blind_trial.page import stored, sums, tables, write
-from benchmarks.blind_trial.score import (
-    Diagnose,
-    Marks,
-    Outcome,
-    Share,
-    Task,
-    judge,
-    run_trial,
-    tally,
-)
+from benchmarks.blind_trial.score import Diagnose, Marks, Outcome, Share, Task, judge, run_trial, tally
 from benchmarks.blind_trial.slips import SLIPS
 from benchmarks.blind_trial.supply import SUPPLIED
 from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival

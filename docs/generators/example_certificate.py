@@ -58,12 +58,10 @@ def _made(folder: Path) -> tuple[bytes, bytes, list[bytes]]:
     from bench.certificate.content import Issue
     from bench.certificate.dcc.document import document_of
     from bench.certificate.gather import certificate_of, issued_at
-    from bench.certificate.laboratory import load_laboratory
-    from bench.certificate.order import load_order
-    from bench.certificate.paper.body import body_of, pictures_of
-    from bench.certificate.signature.pades import sign_pdf
+    from bench.certificate.laboratory import load_laboratory, load_order
+    from bench.certificate.paper.page import body_of, pictures_of
     from bench.certificate.signature.signatory import new_certificate_key, signatory_of
-    from bench.certificate.signature.xades import sign_xml
+    from bench.certificate.signature.xades import sign_pdf, sign_xml
     from bench.cli.app import main
     from bench.files.shipped import CERTIFICATE, shipped_folder
     from drivers.clock import utc_now

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from bench.devices.device import Device, Role
 from bench.devices.registry import devices
-from bench.devices.supplies import SupplyForm
+from bench.devices.sections import SupplyForm
 from docs.generators.forms import anchor
 from docs.generators.markdown import code, prose
 from drivers.interfaces import OutputLimits, SupplyLimits

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Final
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 
 THERE: Final = Path(__file__).parents[1] / "reference"
 FOLDER: Final = "panel"

@@ -21,14 +21,18 @@ from drivers.interfaces.instruments import (
     DividingHead,
     HeadPosition,
     Identity,
+    Inclination,
     Instrument,
+    Level,
+    LevelAxis,
+    LevelSizes,
     SelfTesting,
     ThermalChamber,
+    Thermometer,
     Voltmeter,
     VoltmeterLimits,
     VoltmeterSettings,
 )
-from drivers.interfaces.level import Inclination, Level, LevelAxis, LevelSizes
 from drivers.interfaces.person import (
     Action,
     Answer,
@@ -57,7 +61,6 @@ from drivers.interfaces.supply import (
     SetOtherwise,
     SupplyLimits,
 )
-from drivers.interfaces.thermometer import Thermometer
 
 __all__ = [
     "CHANNELS",

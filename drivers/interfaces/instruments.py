@@ -1,4 +1,4 @@
-"""Voltmeters, dividing heads and thermal chambers, and what every instrument is asked."""
+"""What every instrument is asked: voltmeters, heads, chambers, levels, thermometers."""
 
 from __future__ import annotations
 
@@ -173,5 +173,70 @@ class ThermalChamber(Instrument, Protocol):
 
         While it is `settling` it may still be far from what was demanded; else that is an error where the
         bench file states a band. Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
+        """
+        ...
+
+
+LevelAxis = Literal["along", "across"]
+"""Along the shaft, positive where the end is the higher one that is away from whoever looks at the end of the
+shaft; across it, positive where the end to the right is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inclination:
+    """What a level shows, its own zero included, rad; the signs are those of `LevelAxis`."""
+
+    along_rad: float
+    across_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class LevelSizes:
+    """How exact a level is: standard uncertainties of one reading (rad), of its scale, and of what it leaks.
+
+    `cross` is the part of the inclination about the other axis that a reading may hold: axes that are not where
+    they should be, a half turn that is none.
+    """
+
+    reading_rad: float
+    scale: float
+    cross: float
+
+
+@runtime_checkable
+class Level(Instrument, Protocol):
+    """A level of two axes on the platform; its own zero is not known."""
+
+    asks_person: bool
+    """Whether a person reads it, and is told by it how to place it; else a person is only to place it."""
+
+    @property
+    def sizes(self) -> LevelSizes:
+        """How exact it is."""
+        ...
+
+    def inclination(self, key: str, *, turned: bool) -> Inclination:
+        """Return what it shows at rest in its first position, or `turned` half a turn from it, with its own signs.
+
+        Raises `BadReading` for what is out of its range, `InstrumentRefused`, `InstrumentLost`, `NoAnswer`.
+        """
+        ...
+
+
+@runtime_checkable
+class Thermometer(Instrument, Protocol):
+    """A thermometer at the block, of its own: not that of the chamber's controller."""
+
+    asks_person: bool
+    """Whether a reading costs a person an answer: then it is read at each mounting only."""
+
+    sensor: str
+    """What measures, and where, as it stands in the record: "Pt100, four wires, channel 104"."""
+
+    def block_c(self, key: str) -> float:
+        """Return the temperature that it shows, °C; `key` names the step that asks.
+
+        Raises `BadReading` for an open sensor or what no block has, `InstrumentRefused`, `InstrumentLost`,
+        `NoAnswer`.
         """
         ...

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal, NotRequired, Protocol, TypedDict, runtime_checkable
 
-from drivers.interfaces.instruments import Direction
-from drivers.interfaces.level import LevelAxis
+from drivers.interfaces.instruments import Direction, LevelAxis
 
 
 class PromptKind(StrEnum):

@@ -1,14 +1,50 @@
-"""A thermal chamber that a person sets and reads."""
+"""A chamber and a thermometer that a person sets and reads."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from drivers.interfaces import BadReading, Identity, InstrumentRefused, LimitExceeded, Prompt, PromptKind
-from drivers.manual.temperature import ATTEMPTS, ask_temperature
+from drivers.angles import typed_temperature
+from drivers.interfaces.errors import BadReading, InstrumentRefused, LimitExceeded
+from drivers.interfaces.instruments import Identity
+from drivers.interfaces.person import Person, Prompt, PromptKind
 
-if TYPE_CHECKING:
-    from drivers.interfaces import Person
+ATTEMPTS: Final = 5
+
+
+def ask_temperature(
+    person: Person, key: str, text: str, low_c: float, high_c: float, outside: str
+) -> float | None:
+    """Ask for a temperature from `low_c` to `high_c`, °C, until one comes; return None when none does.
+
+    `key` names the question, `text` what to do, `outside` what is said of a value beyond: "is not plausible
+    ({low:g} to {high:g} °C)". Raises `NoAnswer` when there is nobody to ask.
+    """
+    trouble = ""
+    for attempt in range(1, ATTEMPTS + 1):
+        prompt = Prompt(
+            id=f"{key}#{attempt}",
+            kind=PromptKind.NUMBER,
+            text=f"{trouble} {text} and type the temperature in °C.".lstrip(),
+            unit="°C",
+            minimum=low_c,
+            maximum=high_c,
+            action={"do": "read_temperature"},
+        )
+        answer = person.ask(prompt)
+        if answer.prompt_id != prompt.id:
+            trouble = "That answer belonged to an earlier question."
+            continue
+        try:
+            temperature_c = typed_temperature(answer.text)
+        except ValueError as error:
+            trouble = str(error)
+            continue
+        if low_c <= temperature_c <= high_c:
+            return temperature_c
+        trouble = f"{temperature_c:g} °C {outside.format(low=low_c, high=high_c)}."
+    return None
+
 
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
 _NO: Final = frozenset({"n", "no"})
@@ -115,3 +151,44 @@ class ManualChamber:
             return None
         text = answer.text.strip().replace("−", "-")
         return text or prompt.default or ""
+
+
+class ManualThermometer:
+    """A `Thermometer` of the given range, °C, whose display a person reads; what is beyond is asked again."""
+
+    asks_person = True
+
+    def __init__(self, name: str, person: Person, *, minimum_c: float, maximum_c: float, sensor: str) -> None:
+        self.name = name
+        self.sensor = sensor
+        self._person = person
+        self._minimum_c = minimum_c
+        self._maximum_c = maximum_c
+
+    def open(self) -> Identity:
+        """Return what stands in the record for a thermometer without an interface; nothing is asked."""
+        return Identity(maker="manual", model="thermometer")
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def block_c(self, key: str) -> float:
+        """Ask for the temperature at the block, °C.
+
+        Raises `BadReading` when nothing within its range comes, `NoAnswer` when there is nobody to ask.
+        """
+        found_c = ask_temperature(
+            self._person,
+            f"{key}/thermometer",
+            "Read the thermometer at the block",
+            self._minimum_c,
+            self._maximum_c,
+            "is outside the thermometer's {low:g} to {high:g} °C",
+        )
+        if found_c is not None:
+            return found_c
+        raise BadReading(
+            self.name,
+            f"no temperature within its range in {ATTEMPTS} attempts",
+            "check the thermometer and its range in the bench file, then take this step again",
+        )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from drivers.angles import typed_bubble
 from drivers.interfaces import BadReading, Identity, Inclination, LevelAxis, LevelSizes, Prompt, PromptKind
-from drivers.typed import typed_bubble
 
 if TYPE_CHECKING:
     from drivers.interfaces import Person

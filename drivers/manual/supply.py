@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, Literal
 
+from drivers.angles import SupplyUnit, typed_supply
 from drivers.interfaces import (
     BadReading,
     Identity,
@@ -17,7 +18,6 @@ from drivers.interfaces import (
     SetOtherwise,
     SupplyLimits,
 )
-from drivers.typed import SupplyUnit, typed_supply
 
 if TYPE_CHECKING:
     from drivers.interfaces import Action, Person

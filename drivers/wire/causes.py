@@ -1,4 +1,4 @@
-"""What a foreign exception of the wire means to the person at the bench: probable cause and remedy."""
+"""What an exception of the wire means to the operator, and how patient the wire is."""
 
 from __future__ import annotations
 
@@ -136,3 +136,18 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
     while link is not None:
         yield link
         link = link.__cause__ or link.__context__
+
+
+HASTY_S: Final = 1.0
+"""Long enough for an instrument that is there: its reply is waited for no longer in haste."""
+
+
+class Haste:
+    """Whether waiting is to be cut short; what was to be sent is sent all the same."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def limited_s(self, timeout_s: float) -> float:
+        """Return how long to wait for what may otherwise take `timeout_s`."""
+        return min(timeout_s, HASTY_S) if self.asked else timeout_s

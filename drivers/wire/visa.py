@@ -14,8 +14,7 @@ from typing import Final
 
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
-from drivers.wire.causes import probable_cause
-from drivers.wire.haste import Haste
+from drivers.wire.causes import Haste, probable_cause
 from drivers.wire.holding import Holding
 from drivers.wire.prologix import SCHEME, AdapterConnection
 from drivers.wire.pyvisa_connection import Connection, SerialSettings

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from drivers.agilent_34401a.facts import MEMORY_READINGS, OVERLOAD_V
 from sim.agilent_34401a.converter import reading_text
-from sim.agilent_34401a.cycle import MeasuringCycle, TriggerState
+from sim.agilent_34401a.line import MeasuringCycle, TriggerState
 from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import INF, MAX, MIN, Boolean, Choice, Number, Text, Value, integer, quoted, within

@@ -1,17 +1,15 @@
-"""The channels of a simulated 34970A: channel lists, the settings of each channel, what is wired to it.
-
-Source: 34970A User's Guide (34970-90003), chapter 4 "Rules for Using a Channel List", "DC Voltage"; chapter 8.
-"""
+"""Channels of a simulated 34970A: lists, settings, sensors, what is wired to each."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from drivers.agilent_34401a.facts import OVERLOAD_V
 from drivers.keysight_34970a import facts
+from drivers.keysight_34970a.sensors import PAIRED
 from sim.agilent_34401a.functions import Function, FunctionSettings, chosen_range, chosen_resolution
-from sim.keysight_34970a.temperature import TEMPERATURE, Transducer
 from sim.scpi.status import ScpiError
 from sim.scpi.values import DEF, Number, Value, within
 
@@ -21,6 +19,40 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sim.agilent_34401a.converter import MeteredSignal
+
+
+TEMPERATURE: Final = Function("TEMP", "TEMPerature", "C", (1.0,), facts.NPLC_BY_RESOLUTION, "TEMPerature")
+KINDS: Final = ("TCouple", "RTD", "FRTD", "THERmistor")
+_TYPES: Final = {"RTD": (85, 91), "FRTD": (85, 91), "THER": (2252, 5000, 10000)}
+_ILLEGAL: Final = -224
+_NOT_HERE: Final = 305
+
+
+@dataclass(frozen=True, slots=True)
+class Transducer:
+    """The probe that a channel is set to: its kind as in replies, and its type."""
+
+    kind: str = "TC"
+    type: int = 85
+
+    @property
+    def configured(self) -> str:
+        """As CONFigure:TEMPerature names it: "FRTD,85"."""
+        return f"{self.kind},{self.type}"
+
+    @classmethod
+    def of(cls, kind: str, written: Value, channel: int) -> Transducer:
+        """Return the probe of a command. Raises `ScpiError` -224, 305 for four wires on the second bank."""
+        known = _TYPES.get(kind)
+        if known is None:
+            raise ScpiError(_ILLEGAL)
+        if kind == "FRTD" and channel % 100 not in PAIRED:
+            raise ScpiError(_NOT_HERE)
+        number = known[-2] if written == DEF else int(float(written))
+        if number not in known:
+            raise ScpiError(_ILLEGAL)
+        return cls(kind, number)
+
 
 DC_VOLTS: Final = Function(
     "VOLT", "VOLTage[:DC]", "V", facts.RANGES_V, facts.NPLC_BY_RESOLUTION, "VOLTage[:DC]"

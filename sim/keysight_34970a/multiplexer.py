@@ -1,8 +1,4 @@
-"""A simulated 34970A or 34972A with 34901A multiplexer cards, each channel wired to a source or open.
-
-DC volts are complete, of temperatures RTDs and thermistors; the meter's other functions, alarms, scaling, monitor
-and real-time clock are not here and answer -113. Source: 34970A User's Guide (34970-90003), chapters 4 and 5.
-"""
+"""A simulated 34970A or 34972A with 34901A cards, and a temperature sensor on one."""
 
 from __future__ import annotations
 
@@ -10,19 +6,22 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
+from drivers.agilent_34401a.facts import OVERLOAD_V
 from drivers.keysight_34970a import facts
+from drivers.keysight_34970a.sensors import SENSORS
 from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal
 from sim.agilent_34401a.line import VOLT_OVERLOAD, Interface, LineMeter
 from sim.keysight_34970a.channels import (
     CARDS,
     DC_VOLTS,
+    KINDS,
     CardInput,
     ChannelConfiguration,
     ChannelList,
+    Transducer,
     listed,
 )
 from sim.keysight_34970a.scan import Scan
-from sim.keysight_34970a.temperature import KINDS, Transducer
 from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import (
@@ -44,7 +43,11 @@ from sim.scpi.values import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    import numpy as np
+
     from drivers.clock import Clock
+    from sim.world.world import World
+
 
 Model = Literal["34970A", "34972A"]
 
@@ -345,3 +348,81 @@ def _set_automatic_delay(channel: ChannelConfiguration, flag: Value) -> None:
 def _set_function(_channel: ChannelConfiguration, name: Value) -> None:
     if not notation_pattern(DC_VOLTS.notation).match(str(name).strip()):
         raise ScpiError(-224)
+
+
+_PLACE: Final = 3
+"""Behind the three meters of the signals."""
+_LEADS_OHM: Final = 0.5
+_OHM_PER_K: Final = 0.385
+
+
+class Probe:
+    """A sensor of the kind `sensor` (`SENSORS`), off by `error_c`; `air_share` of what it feels is the air's.
+
+    Its noise has the standard deviation `noise_c`. To a meter that measures volts there it is a short.
+    """
+
+    def __init__(
+        self, world: World, sensor: str, *, error_c: float = 0.0, noise_c: float = 0.0, air_share: float = 0.0
+    ) -> None:
+        self._world = world
+        self._sensor = SENSORS[sensor]
+        self._error_c = error_c
+        self._noise_c = noise_c
+        self._air_share = air_share
+        self._reading = 0
+
+    @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here, where it has one of its own."""
+        return _PLACE
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature of the room in which the meter stands, °C."""
+        return self._world.settings.ambient_c
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        """Return the voltage at the channel, V."""
+        return 0.0
+
+    def new_reading(self) -> None:
+        """Say that a reading was triggered."""
+        self._reading = self._world.count("thermometer")
+
+    def random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose within the present reading."""
+        return self._world.random(purpose, "thermometer", self._reading)
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for something that the meter has for good."""
+        return self._world.fixed_random(purpose, "thermometer")
+
+    def shown_c(self, configured: str, time_s: float) -> float:
+        """Return what a meter shows that takes it for the sensor that CONF:TEMP named, "FRTD,85", °C.
+
+        As two wires a Pt100 with four has its leads in it; thermistor and Pt100 are out of each other's range.
+        """
+        block_c = self._world.block_c_at(time_s)
+        felt_c = block_c + self._air_share * (self._world.chamber_c - block_c) + self._error_c
+        felt_c += self._noise_c * float(self.random("thermometer noise").standard_normal())
+        if configured == self._sensor.configured:
+            return felt_c
+        if configured == "RTD,85" and self._sensor.configured == "FRTD,85":
+            return felt_c + _LEADS_OHM / _OHM_PER_K
+        return OVERLOAD_V
+
+
+def meter_with_probe(
+    world: World,
+    *,
+    channel: int,
+    sensor: str,
+    error_c: float = 0.0,
+    noise_c: float = 0.0,
+    air_share: float = 0.0,
+    **options: object,
+) -> Keysight34970A:
+    """Return a meter with nothing but a sensor on a channel."""
+    probe = Probe(world, sensor, error_c=error_c, noise_c=noise_c, air_share=air_share)
+    return Keysight34970A({channel: probe}, world.clock, **options)  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from drivers.agilent_34401a.facts import OVERLOAD_V
 from drivers.keysight_34970a.facts import MEMORY_READINGS
 from sim.agilent_34401a.converter import reading_text
-from sim.agilent_34401a.cycle import MeasuringCycle
+from sim.agilent_34401a.line import MeasuringCycle
 from sim.scpi.instrument import Command
 from sim.scpi.status import ScpiError
 from sim.scpi.values import INF, MAX, MIN, Boolean, Choice, Number, Value, integer, within

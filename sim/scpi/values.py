@@ -1,7 +1,4 @@
-"""Parameters and replies of SCPI commands: numbers with suffixes, words, strings, and their formats.
-
-Source: IEEE Std 488.2, 7.7 and 8.7; SCPI-1999 volume 1, 6 and 7; 34401A User's Guide, chapter 4.
-"""
+"""Parameters, channel lists and replies of SCPI commands."""
 
 from __future__ import annotations
 
@@ -15,6 +12,7 @@ from sim.scpi.status import ScpiError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
 
 Value = float | str
 
@@ -272,3 +270,39 @@ def within(value: float, low: float, high: float) -> float:
     if not low <= value <= high:
         raise ScpiError(-222)
     return value
+
+
+_LIST: Final = re.compile(r"\(\s*@\s*([0-9:,\s]*)\)")
+_ITEM: Final = re.compile(r"(\d)(?::(\d))?")
+_MISSING: Final = -109
+_OUT_OF_RANGE: Final = -222
+
+
+class OutputList:
+    """A list of outputs as a parameter; its value is its text, of which `listed` makes the numbers."""
+
+    def __init__(self, optional: bool = True) -> None:
+        self.optional = optional
+
+    def parse(self, text: str) -> Value:
+        """Return the text. Raises `ScpiError` for what is no list."""
+        if _LIST.fullmatch(text) is None:
+            raise ScpiError(-104)
+        return text
+
+
+def listed(text: str, count: int) -> tuple[int, ...]:
+    """Return the numbers of a list in its order. Raises `ScpiError` for none, or one beyond `count`."""
+    match = _LIST.fullmatch(text)
+    inner = "" if match is None else match.group(1).replace(" ", "")
+    if not inner:
+        raise ScpiError(_MISSING)
+    numbers: list[int] = []
+    for item in inner.split(","):
+        ends = _ITEM.fullmatch(item)
+        if ends is None:
+            raise ScpiError(-104)
+        numbers += range(int(ends.group(1)), int(ends.group(2) or ends.group(1)) + 1)
+    if not all(1 <= number <= count for number in numbers):
+        raise ScpiError(_OUT_OF_RANGE)
+    return tuple(numbers)

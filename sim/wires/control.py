@@ -13,17 +13,16 @@ import shlex
 from typing import TYPE_CHECKING, Final, cast
 
 from sim.wires.faults import Fault
-from sim.world.rails import DISTURBANCES, Disturbance
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
+from sim.world.power import DISTURBANCES, Disturbance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from drivers.interfaces import Direction
     from sim.bench import SimulatedBench
-    from sim.wires.pty import TerminalServer
-    from sim.wires.server import TcpServer
-    from sim.world.rails import DisturbanceKind
+    from sim.wires.server import TcpServer, TerminalServer
+    from sim.world.power import DisturbanceKind
 
 HELP: Final = {
     "state": "what is true: angle, installation, temperatures, time, faults",

@@ -1,4 +1,4 @@
-"""The person at a simulated bench: turns the head by hand, reads the scale, and errs now and then."""
+"""The person at a simulated bench, and the front panel that the person works."""
 
 from __future__ import annotations
 
@@ -6,17 +6,39 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from bench.base.arrays import ARCSEC
-from drivers.interfaces import Answer, MountBlock, NoAnswer, Prompt, PromptKind
+from drivers.interfaces.errors import NoAnswer
+from drivers.interfaces.person import Answer, MountBlock, Prompt, PromptKind
 from sim.world.chance import keyed_generator
-from sim.world.panel import work_supply
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     import numpy as np
 
-    from drivers.interfaces import Direction
+    from drivers.interfaces.instruments import Direction
+    from drivers.interfaces.person import ReadSupply, SetSupply, SwitchSupply
     from sim.world.world import World
+
+
+def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> str:
+    """Do what is asked at the supply; return what its display shows where that is asked, else nothing."""
+    power, now_s = world.power, world.clock.now_s()
+    if action["do"] == "set_supply":
+        for output, (voltage_v, limit_a, over_voltage_v) in action["outputs"].items():
+            power.change(output, now_s, set_v=voltage_v, limit_a=limit_a, trip_v=over_voltage_v)
+        return ""
+    output = action["output"]
+    if action["do"] == "switch_supply":
+        power.change(output, now_s, on=action["on"], tripped=None)
+        return ""
+    stage, shown = power.stage(output, now_s), power.shown(output, now_s)
+    return {
+        "switch": "on" if stage.on else "off",
+        "set_voltage": f"{stage.set_v:.3f}",
+        "current_limit": f"{stage.limit_a:.4f}",
+        "voltage": f"{shown.voltage_v:.2f}",
+        "current": f"{shown.current_a:.3f}",
+    }[action["what"]]
 
 
 LOOK_S: Final = 10.0

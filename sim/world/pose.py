@@ -1,22 +1,25 @@
-"""How the block stood in the course of a run, and what the forward model makes of it."""
+"""How head, platform and block stand in the course of a run."""
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.model import Conditions
+from bench.model.block import Block
+from bench.model.conditions import Conditions
+from bench.model.effects.base import Stage
+from bench.model.forward import ForwardModel
+from bench.model.geometry import INSTALLATION_1
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from bench.model import Block, ForwardModel
-    from drivers.interfaces import Direction
-    from sim.world.turning import HeadTurn
+    from drivers.interfaces.instruments import Direction, LevelAxis
 
 
 @dataclass(frozen=True)
@@ -102,3 +105,109 @@ def _supply_v(visits: Sequence[Visit]) -> Floats | None:
         return None
     unknown = (float("nan"),) * rails
     return np.array([visit.supply_v or unknown for visit in visits])
+
+
+_ENDLESS_RAD: Final = 1000.0 * math.tau
+
+
+@dataclass(frozen=True)
+class HeadTurn:
+    """A turn on the scale from `start_rad` to `end_rad`, begun at `since_s`, at `speed_rad_s`.
+
+    With an infinite speed the head is there at once.
+    """
+
+    since_s: float
+    start_rad: float
+    end_rad: float
+    speed_rad_s: float = math.inf
+
+    @property
+    def arrives_s(self) -> float:
+        """The time from which on the head stands at its end."""
+        return self.since_s + abs(self.end_rad - self.start_rad) / self.speed_rad_s
+
+    def angle_rad(self, time_s: float) -> float:
+        """Return the angle on the scale at a time, rad."""
+        if time_s >= self.arrives_s:
+            return self.end_rad
+        turned_rad = max(0.0, time_s - self.since_s) * self.speed_rad_s
+        return self.start_rad + math.copysign(turned_rad, self.end_rad - self.start_rad)
+
+    def rate_rad_s(self, time_s: float) -> float:
+        """Return the rate at a time, rad/s: signed while it turns, else zero."""
+        if not self.since_s <= time_s < self.arrives_s:
+            return 0.0
+        return math.copysign(self.speed_rad_s, self.end_rad - self.start_rad)
+
+
+@dataclass(frozen=True)
+class HeadFault:
+    """What is wrong with a motorised head, for the movements that begin while it is set.
+
+    It sticks after it has turned by `sticks_after_rad` (0: it does not move at all), or it comes to rest
+    `stops_off_rad` beside where it was sent, on its own scale. One that `runs_away`, as with a wrong sign, turns
+    away from where it was sent until it is stopped.
+    """
+
+    sticks_after_rad: float | None = None
+    stops_off_rad: float = 0.0
+    runs_away: bool = False
+
+    def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
+        """Return where a movement really ends, and whether the head is stuck there."""
+        if self.runs_away:
+            return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
+        end_rad = target_rad + self.stops_off_rad
+        if self.sticks_after_rad is None or abs(end_rad - start_rad) <= self.sticks_after_rad:
+            return end_rad, False
+        return start_rad + math.copysign(self.sticks_after_rad, end_rad - start_rad), True
+
+
+_OF_THE_PLATFORM: Final = (Stage.STAND, Stage.HEAD_ANGLE)
+_OF_THE_BLOCK: Final = (
+    "bracket_tilt", "mounting_error", "mounting_offset", "mounting_roll", "block_slip",
+)  # fmt: skip
+"""Effects of how the block sits on the platform: no level on the platform shows them."""
+_BLOCK: Final = Block(np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class LevelSettings:
+    """What is true of a level: how far its zero is off, its noise (1 σ), rad, and the error of its scale."""
+
+    zero_along_rad: float = 0.0
+    zero_across_rad: float = 0.0
+    noise_rad: float = 0.0
+    scale: float = 0.0
+
+    def shown_rad(self, axis: LevelAxis, inclined_rad: float, normal: Callable[[], float]) -> float:
+        """Return what it shows where its axis is inclined so much; `normal` gives a standard normal number."""
+        zero_rad = self.zero_along_rad if axis == "along" else self.zero_across_rad
+        return inclined_rad * (1.0 + self.scale) + zero_rad + self.noise_rad * normal()
+
+
+def platform_tilt_rad(visit: Visit, model: ForwardModel) -> dict[LevelAxis, float]:
+    """Return the inclination of the platform along the shaft and across it, rad, the head where it stands.
+
+    The effects of stand and head are in it, those of how the block sits are not.
+    """
+    pose = visit.pose
+    effects = tuple(
+        applied
+        for applied in model.effects
+        if applied.effect.stage in _OF_THE_PLATFORM and applied.effect.name not in _OF_THE_BLOCK
+    )
+    bare = ForwardModel({pose.installation: replace(INSTALLATION_1, label=pose.installation)}, effects)
+    conditions = Conditions.of(
+        [pose.installation],
+        [pose.turn.angle_rad(visit.time_s)],
+        series=[pose.series],
+        direction=[pose.direction or 0],
+        time_s=[visit.elapsed_s],
+        temperature_c=[visit.block_c],
+    )
+    stand_rad = pose.stand_rad.copy()[None]
+    stand_rad[:, 2:] = 0.0  # the angles at which the block is mounted
+    x, y, _ = bare.specific_force(conditions, stand_rad, _BLOCK, pose.setting_error_rad)[0]
+    return {"along": math.asin(y), "across": math.asin(x)}

@@ -1,7 +1,8 @@
-"""The physical truth of a simulated bench: head, block, temperature, power. It holds no instrument state."""
+"""The physical truth of a simulated bench: head, block, heat, power; no instrument state."""
 
 from __future__ import annotations
 
+import math
 import threading
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
@@ -10,22 +11,145 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model import STAND_ANGLES, Distribution, stand_errors
+from bench.model.distribution import Distribution
+from bench.model.geometry import STAND_ANGLES, stand_errors
 from sim.world.chance import KeyedNumbers
-from sim.world.heat import Heat
-from sim.world.inputs import Terminals
-from sim.world.levelling import LevelSettings, platform_tilt_rad
-from sim.world.pose import Pose, Visit, readings_of, switched_on_since
-from sim.world.power import Power, dead_v
-from sim.world.rails import PowerSettings
-from sim.world.turning import HeadFault, HeadTurn
+from sim.world.pose import (
+    HeadFault,
+    HeadTurn,
+    LevelSettings,
+    Pose,
+    Visit,
+    platform_tilt_rad,
+    readings_of,
+    switched_on_since,
+)
+from sim.world.power import Power, PowerSettings, dead_v
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bench.model import Block, ForwardModel
+    from bench.model.block import Block
+    from bench.model.forward import ForwardModel
     from drivers.clock import Clock
-    from drivers.interfaces import Channel, Direction, LevelAxis
+    from drivers.interfaces.instruments import Channel, Direction, LevelAxis
+
+
+_LEAST_SPREAD: Final = 1e-6
+"""Two lags must differ by this fraction: the formula for the block divides by their difference."""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """From `since_s` on the air is base + slope·s + excess·exp(-s/lag), s the time elapsed.
+
+    `block_c` is the block's temperature at its beginning.
+    """
+
+    since_s: float
+    base_c: float
+    slope_c_s: float
+    excess_c: float
+    lag_s: float
+    block_c: float
+
+    def air_c(self, time_s: float) -> float:
+        elapsed_s = max(0.0, time_s - self.since_s)
+        return self.base_c + self.slope_c_s * elapsed_s + self.excess_c * math.exp(-elapsed_s / self.lag_s)
+
+    def block_c_at(self, time_s: float, block_lag_s: float) -> float:
+        """Solve block' = (air - block) / block_lag for the air of this stretch."""
+        elapsed_s = max(0.0, time_s - self.since_s)
+        carried_c = self.excess_c * self.lag_s / (self.lag_s - block_lag_s) if self.excess_c else 0.0
+        left_c = self.block_c - (self.base_c - self.slope_c_s * block_lag_s + carried_c)
+        return (
+            self.base_c
+            + self.slope_c_s * (elapsed_s - block_lag_s)
+            + carried_c * math.exp(-elapsed_s / self.lag_s)
+            + left_c * math.exp(-elapsed_s / block_lag_s)
+        )
+
+
+class Heat:
+    """The air of a chamber and the block in it, both at `ambient_c` from `now_s` on.
+
+    `block_lag_s` is the time constant of the block behind the air. A demand holds until the next one.
+    """
+
+    def __init__(self, now_s: float, ambient_c: float, block_lag_s: float) -> None:
+        self._block_lag_s = block_lag_s
+        self._stretches = [_Stretch(now_s, ambient_c, 0.0, 0.0, 1.0, ambient_c)]
+
+    def air_c(self, time_s: float) -> float:
+        """Return the air's temperature at a time, °C."""
+        return self._at(time_s).air_c(time_s)
+
+    def block_c(self, time_s: float) -> float:
+        """Return the block's temperature at a time, °C."""
+        return self._at(time_s).block_c_at(time_s, self._block_lag_s)
+
+    def set_air(self, now_s: float, target_c: float) -> None:
+        """The air is at `target_c` from now on, at once."""
+        self._go_on(now_s, target_c, 0.0, 0.0, 1.0)
+
+    def relax_air(self, now_s: float, target_c: float, lag_s: float) -> None:
+        """The air drifts to `target_c` with a time constant, as in a chamber that is switched off."""
+        self._go_on(now_s, target_c, 0.0, self.air_c(now_s) - target_c, lag_s)
+
+    def ramp_air(self, now_s: float, target_c: float, rate_c_s: float, lag_s: float) -> None:
+        """A demand runs from the present air to `target_c` at `rate_c_s`; the air follows it with its lag."""
+        start_c = self.air_c(now_s)
+        slope_c_s = math.copysign(rate_c_s, target_c - start_c)
+        end_s = now_s + abs(target_c - start_c) / rate_c_s
+        self._go_on(now_s, start_c - slope_c_s * lag_s, slope_c_s, slope_c_s * lag_s, lag_s)
+        self._go_on(end_s, target_c, 0.0, self.air_c(end_s) - target_c, lag_s)
+
+    def _go_on(self, since_s: float, base_c: float, slope_c_s: float, excess_c: float, lag_s: float) -> None:
+        """Begin a stretch; those that were to begin later are given up."""
+        if math.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
+            lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
+        block_c = self.block_c(since_s)
+        kept = [stretch for stretch in self._stretches if stretch.since_s <= since_s]
+        self._stretches = [*kept, _Stretch(since_s, base_c, slope_c_s, excess_c, lag_s, block_c)]
+
+    def _at(self, time_s: float) -> _Stretch:
+        index = bisect_right(self._stretches, time_s, key=lambda stretch: stretch.since_s) - 1
+        return self._stretches[max(0, index)]
+
+
+class Terminals:
+    """One channel of the world, as the meter on it sees it (the `Source` of a simulated meter)."""
+
+    def __init__(self, world: World, channel: Channel) -> None:
+        self._world = world
+        self._channel = channel
+        self._reading = 0
+
+    @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here: 0 at channel x, 1 at y, 2 at z."""
+        return CHANNELS.index(self._channel)
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature of the room in which the meter stands, °C."""
+        return self._world.settings.ambient_c
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        """Return the voltage at the terminals now, or at `time_s` of the clock, V."""
+        return self._world.signal_v(self._channel, time_s)
+
+    def new_reading(self) -> None:
+        """Say that a reading was triggered."""
+        self._reading = self._world.new_reading(self._channel)
+
+    def random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose within the present reading."""
+        return self._world.random(purpose, self._channel, self._reading)
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for something that the meter on this channel has for good."""
+        return self._world.fixed_random(purpose, self._channel)
 
 
 SETTING_ERROR: Final = "setting_error"

@@ -11,12 +11,12 @@ from unittest import mock
 
 import pytest
 
-import bench.api.commissioning as command
-from bench.api.commissioning import PAGE, RESULT, WIRE_LOG, Setting, commission
+import bench.api.instruments as command
 from bench.api.errors import Refused
+from bench.api.instruments import PAGE, RESULT, WIRE_LOG, Setting, commission
 from bench.assembly.commissioned import dry_evening
 from bench.assembly.served import SimulatedBench
-from bench.commission.evening import Listening
+from bench.commission.session import Listening
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.run.control import OperatorWish, RunControl

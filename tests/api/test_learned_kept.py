@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 import bench as program
-from bench.api.check_values import check_values
+from bench.api.check_block import check_values
 from bench.api.execution import carry_out, new_run
 from bench.base.arrays import ARCSEC, u_of
 from bench.files.bench.learned import arcsec

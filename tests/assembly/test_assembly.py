@@ -9,14 +9,14 @@ import socket
 import numpy as np
 import pytest
 
+from bench.assembly.instruments import on_terminals
 from bench.assembly.served import served_bench
-from bench.assembly.simulated import on_terminals
 from bench.devices.acutrol import AcutrolSection
+from bench.devices.device import bus_place
 from bench.devices.espec import EspecSection
 from bench.devices.keysight_34970a import Keysight34970ASection
 from bench.devices.thermotron import ThermotronSection
 from bench.devices.watlow_f4t import WatlowF4TSection
-from bench.devices.wires import bus_place
 from bench.devices.zaber import ZaberSection
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
@@ -31,7 +31,7 @@ from drivers.watlow_f4t.driver import WatlowF4TChamber
 from drivers.wire.causes import WireError
 from drivers.wire.prologix import parse
 from drivers.zaber.driver import ZaberHead
-from sim.wires.pty import TERMINALS
+from sim.wires.server import TERMINALS
 from tests.support.composed_bench import composing, edited, read
 from tests.support.patience import PATIENCE_S
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bench.files.bench.simulation import FaultSection, FaultWord
+from bench.files.bench.sections import FaultSection, FaultWord
 from drivers.interfaces import BadReading, BenchError, InstrumentRefused
 from sim.wires.faults import Fault, FaultKind
 from tests.support.composed_bench import composing, read

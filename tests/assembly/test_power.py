@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import yaml
 
+from bench.assembly.instruments import power_of
 from bench.assembly.served import dry_bench
-from bench.assembly.simulated import power_of
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel

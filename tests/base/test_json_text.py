@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bench.base.json_text import read_json
+from bench.base.files import read_json
 
 
 def test_numbers_are_the_same_to_the_last_bit():

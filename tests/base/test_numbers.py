@@ -9,8 +9,7 @@ from bench.api.errors import Refused
 from bench.api.quantities import quantity
 from bench.base.numbers import MINUS, read_number, rounded, uncertainty
 from bench.base.units import ACCELERATION, RATIO, parse_quantity
-from drivers.angles import parse_angle
-from drivers.typed import typed_supply, typed_temperature
+from drivers.angles import parse_angle, typed_supply, typed_temperature
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from bench.base.units import (
     QuantityKind,
     parse_quantity,
 )
-from bench.model.gravity import normal_gravity_m_s2
+from bench.model.geometry import normal_gravity_m_s2
 
 CURVATURE = QuantityKind("a value of K2", "30 ug/g^2", "ug/g^2")
 SLOPE = QuantityKind("a slope", "60 ug/K", "ug/K")

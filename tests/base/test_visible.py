@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from rich.text import Text
 
-from bench.base.regular import read_given, read_regular
+from bench.base.atomic_files import from_text, to_text
+from bench.base.files import read_given, read_regular
 from bench.base.tables import Screen, as_html, table
 from bench.base.visible import in_json, visible
-from bench.base.whole import from_text, to_text
 
 ACTS = [
     "\x1b[2J",

@@ -8,10 +8,9 @@ import pytest
 from bench.api.errors import Refused
 from bench.batch import cluster
 from bench.batch.cluster import by_scheduler, of_program
-from bench.batch.course import Course
 from bench.batch.job import CALIBRATE, Job, program
 from bench.batch.outcome import asked_of, conclude
-from bench.batch.store import Store
+from bench.batch.store import Course, Store
 from bench.batch.work import worked
 from tests.support.many_runs import runs_in
 

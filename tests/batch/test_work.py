@@ -5,10 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from bench.batch.changed import change_in_u, changes
-from bench.batch.columns import COLUMNS, arrow_schema
-from bench.batch.job import CALIBRATE, DIAGNOSE, Job
-from bench.batch.stored import Found
+from bench.batch.job import CALIBRATE, COLUMNS, DIAGNOSE, Job, arrow_schema
+from bench.batch.stored import Found, change_in_u, changes
 from bench.batch.work import worked
 from bench.model.block import COEFFICIENTS
 from tests.support.many_runs import edited, runs_in

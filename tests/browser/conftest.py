@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from tests.support.browsers import find_chromium, what_is_missing
 from tests.support.served_panel import ServedPanel, served
 

@@ -9,7 +9,7 @@ from contextlib import closing
 
 import pytest
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from bench.run.record import is_being_written
 from tests.support.browser_runs import PROGRAM, Begun, answer_on, prompt_of, typed_for, until
 

@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import pytest
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from bench.run.manifest import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from tests.support.browser_runs import Begun, answer_on, prompt_of, typed_for, until
 
 ANSWER = """id => fetch("answer", {

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 from bench.catalogue import unit
-from bench.catalogue.dues import due_units
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
-from bench.catalogue.unit import unit_history
+from bench.catalogue.unit import due_units, unit_history
 from tests.support.laboratory import write_run
 
 DAYS = ("2023-01-10", "2024-01-12", "2025-01-09", "2026-01-11")
@@ -99,8 +98,8 @@ def test_a_run_that_comes_while_it_is_reckoned_is_not_lost(catalogue, monkeypatc
 
 def test_processes_reckon_the_same(catalogue, monkeypatch):
     here = due_units(catalogue, [], limit_g=4e-4)
-    monkeypatch.setattr("bench.catalogue.dues.FEW", 0)
-    monkeypatch.setattr("bench.catalogue.dues.METHOD", 0)  # nothing is kept of it
+    monkeypatch.setattr("bench.catalogue.unit.FEW", 0)
+    monkeypatch.setattr("bench.catalogue.unit.METHOD", 0)  # nothing is kept of it
     assert due_units(catalogue, [], limit_g=4e-4, processes=2) == here
 
 

@@ -4,8 +4,7 @@ import pytest
 
 from bench.certificate.content import Certificate, Issue
 from bench.certificate.gather import certificate_of
-from bench.certificate.laboratory import load_laboratory
-from bench.certificate.order import load_order
+from bench.certificate.laboratory import load_laboratory, load_order
 from tests.support.certificates import ORDER, copy_run, write_files
 
 

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.forms import FileMistakes
-from bench.certificate.laboratory import load_laboratory
-from bench.certificate.order import load_order
+from bench.certificate.laboratory import load_laboratory, load_order
 from bench.certificate.texts import LANGUAGES, texts_of
 from bench.files.shipped import CERTIFICATE, shipped_folder
 from tests.support.certificates import write_files

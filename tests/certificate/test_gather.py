@@ -13,8 +13,7 @@ from bench.analysis.calibration.conformity import DecisionRule
 from bench.api.errors import Refused
 from bench.certificate.content import Issue, rule_said
 from bench.certificate.gather import certificate_of, missing
-from bench.certificate.laboratory import Person, load_laboratory
-from bench.certificate.order import Adjusted, load_order
+from bench.certificate.laboratory import Adjusted, Person, load_laboratory, load_order
 from bench.certificate.verify.record import held_against_record
 from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from bench.base.progress import heard_by, quiet, tracked
+from bench.base.computing import heard_by, quiet, tracked
 from bench.cli import progress
 from bench.cli.app import explain
 from bench.cli.commands import COMMANDS, HEADINGS

@@ -8,7 +8,7 @@ import pytest
 
 from bench.api.errors import Refused
 from bench.cli import app, program
-from bench.run.signals import Interrupts
+from bench.run.interruptions import Interrupts
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from bench.api import calibration
 from bench.cli import printing
 from bench.run.folder import RESULTS, Run
-from bench.run.signals import Interrupts
+from bench.run.interruptions import Interrupts
 from bench.run.states import RunState
 
 pytestmark = pytest.mark.slow

@@ -230,7 +230,7 @@ def test_a_time_stamp_of_something_else_is_told(bench, run, key):
 def of_before(authority):
     """Answers for the request of another."""
     with Served(authority) as served:
-        from bench.run.timestamp import ask_time_stamp
+        from bench.run.seal import ask_time_stamp
 
         earlier = ask_time_stamp(served.url, b"another message")
     return lambda request: earlier

@@ -19,7 +19,7 @@ from bench.cli.app import main
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel
-from sim.wires.pty import TERMINALS
+from sim.wires.server import TERMINALS
 from sim.world.clock import ScaledClock
 from tests.support.patience import PATIENCE_S, wait_for
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.api.origin import SUFFIX
+from bench.api.bench_selection import SUFFIX
 from bench.cli.app import main
 from bench.run.answers import ANSWERS
 from bench.run.control import CONTROL

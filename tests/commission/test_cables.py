@@ -3,7 +3,7 @@
 import pytest
 
 from bench.commission.cables import cables, check_cables
-from bench.commission.finding import State
+from bench.commission.session import State
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.run.workbench import Instruments

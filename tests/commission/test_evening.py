@@ -2,8 +2,7 @@
 
 import pytest
 
-from bench.commission.evening import ONLY_THESE, Ended, Evening, Skipped
-from bench.commission.finding import Finding, State
+from bench.commission.session import ONLY_THESE, Ended, Evening, Finding, Skipped, State
 from bench.run.control import OperatorWish, RunControl
 from bench.run.states import Wish
 from bench.run.workbench import Instruments

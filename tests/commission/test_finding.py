@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.commission.finding import Figure, Finding, State, status_of
+from bench.commission.session import Figure, Finding, State, status_of
 
 
 def found(*states: State) -> list[Finding]:

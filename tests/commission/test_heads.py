@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from bench.commission.evening import Evening
-from bench.commission.finding import State
 from bench.commission.heads import check_limits, check_moves
+from bench.commission.session import Evening, State
 from bench.run.control import OperatorWish, RunControl
 from bench.run.states import Wish
 from bench.run.workbench import Instruments

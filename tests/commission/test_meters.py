@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bench.commission.finding import State
 from bench.commission.meters import (
     NOISE_SAMPLES,
     SIGNIFICANCE,
@@ -15,6 +14,7 @@ from bench.commission.meters import (
     scatter_limit_v,
     zero_limit_v,
 )
+from bench.commission.session import State
 from bench.run.workbench import Instruments
 from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, meters

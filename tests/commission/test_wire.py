@@ -1,6 +1,6 @@
 """The watch over the wires: times of answers, failures, and all of it passed on."""
 
-from bench.commission.wire import WireWatch
+from bench.commission.session import WireWatch
 from sim.world.clock import VirtualClock
 
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from drivers.interfaces import BenchError, InstrumentRefused, LimitExceeded, WentAstray
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
 from tests.support.instrument_stand import known, standing
 
 heads = pytest.mark.parametrize("device", known("head"), ids=lambda device: device.name)

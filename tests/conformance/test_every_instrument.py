@@ -15,12 +15,8 @@ import yaml
 
 from bench.assembly.served import served_bench
 from bench.base.forms import FileMistakes
-from bench.devices.chambers import ChamberTruth
-from bench.devices.heads import HeadTruth
-from bench.devices.levels import LevelTruth
 from bench.devices.registry import devices
-from bench.devices.supplies import SupplyTruth
-from bench.devices.thermometers import ThermometerTruth
+from bench.devices.sections import ChamberTruth, HeadTruth, LevelTruth, SupplyTruth, ThermometerTruth
 from bench.devices.voltmeters import VoltmeterTruth
 from bench.files.bench.file import load_bench
 from bench.model import ForwardModel

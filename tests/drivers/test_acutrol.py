@@ -23,7 +23,7 @@ from drivers.interfaces import (
 from drivers.motion import Travel
 from sim.acutrol import AcutrolTable
 from sim.wires.session import DROP, SILENCE, WireFault
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world, served

@@ -14,7 +14,7 @@ from drivers.newport_esp301.driver import NewportHead
 from drivers.newport_esp301.facts import READ_TERMINATION, WRITE_TERMINATION
 from sim.newport_esp301 import Esp301
 from sim.wires.session import DROP, SILENCE, FaultHook, WireFault
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world, served

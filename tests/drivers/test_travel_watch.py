@@ -9,8 +9,7 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from drivers.interfaces import InstrumentRefused, WentAstray
-from drivers.motion import Travel
-from drivers.travel_watch import TravelWatch
+from drivers.motion import Travel, TravelWatch
 
 POLL_S = 0.25
 

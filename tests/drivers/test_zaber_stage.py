@@ -7,17 +7,13 @@ from contextlib import contextmanager
 
 import pytest
 
-from drivers.interfaces import (
-    BadReading,
-    InstrumentLost,
-    InstrumentRefused,
-)
+from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused
 from drivers.wire.visa import MessageSession, SerialSettings
 from drivers.zaber.driver import ZaberHead
 from drivers.zaber.facts import READ_TERMINATION, SERIAL, WRITE_TERMINATION
-from sim.wires.pty import TERMINALS, TerminalServer
+from sim.wires.server import TERMINALS, TerminalServer
 from sim.wires.session import DROP, SILENCE, ServedInstrument, WireFault
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
 from sim.world.world import World
 from sim.zaber import ZaberStage
 from tests.support.simulated_stand import a_world, served

@@ -13,8 +13,8 @@ import yaml
 from openpyxl import load_workbook
 
 from bench.analysis.calibration.derived import specific_force_covariance
+from bench.exchange.autopilots import diagonal, lower_triangular, sensor_of
 from bench.exchange.forms import FORMS
-from bench.exchange.nominal import diagonal, lower_triangular, sensor_of
 from bench.exchange.result import SIMULATED, BlockResult
 from bench.model.block import Block
 from tests.support.paper_bench import U0, K

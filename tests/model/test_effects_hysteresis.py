@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench.model import Conditions, ForwardModel, Installation
+from bench.model.conditions import PAST_RAD
 from bench.model.effects.hysteresis import state
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.model.head_path import PAST_RAD
 from tests.support.effect_bench import BLOCK, KII, effect
 from tests.support.paper_bench import ARCSEC, specific_force
 

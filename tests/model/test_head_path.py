@@ -7,10 +7,10 @@ import pytest
 
 from bench.base.units import QuantityKind, parse_quantity
 from bench.model import AppliedEffect, Block, Conditions, ForwardModel, Installation, effects
+from bench.model.conditions import PAST_RAD, head_path
 from bench.model.effects import Parameter
 from bench.model.effects.base import StandEffect
 from bench.model.effects.stand import into
-from bench.model.head_path import PAST_RAD, head_path
 
 BLOCK = Block(np.eye(3), np.zeros(3))
 INSTALLATIONS = {label: Installation(label, np.eye(3)) for label in ("1", "2")}

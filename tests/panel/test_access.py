@@ -5,8 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.panel.access.people import Role
-from bench.panel.access.store import LINKS, SESSIONS, TOKENS, Access
+from bench.panel.access import LINKS, SESSIONS, TOKENS, Access, Role
 from bench.panel.app import make_app
 from bench.panel.settings import STATE, Settings
 from bench.run.manifest import RecordError

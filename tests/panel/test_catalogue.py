@@ -6,7 +6,7 @@ import pytest
 
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from tests.support.laboratory import write_run
 from tests.support.panel_client import Browser, stranger
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from tests.support.check_runs import measured, write_bench
 from tests.support.panel_client import Browser, stranger
 

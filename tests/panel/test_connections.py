@@ -12,9 +12,7 @@ import socket
 import pytest
 
 from bench.panel import connections
-from bench.panel.access.gate import LARGEST_BODY
-from bench.panel.access.people import Role
-from bench.panel.access.store import MOST_SESSIONS, Access
+from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, Access, Role
 from bench.panel.connections import OncePerMinute
 from bench.panel.settings import STATE
 from benchmarks.panel_fuzz import RECORD as RECORDS

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from bench.panel.access.people import Role
+from bench.panel.access import Role
 from bench.panel.holding import JOURNAL, read_holding
 from bench.run.answers import ANSWERS, asked_to_json
 from bench.run.control import CONTROL
@@ -168,7 +168,7 @@ def test_what_the_script_is_told_names_who_is_in_control(anna):
 
 
 def test_a_stream_ends_when_who_looks_is_signed_out_for_good(anna, runs, monkeypatch):
-    from bench.panel.access.store import Access
+    from bench.panel.access import Access
     from bench.panel.settings import STATE
 
     async def events():

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.panel.access.people import Person, Refusal, Role
+from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import JOURNAL, WORDS, change, read_holding, require_holder
 
 ANNA = Person("anna", Role.OPERATOR)

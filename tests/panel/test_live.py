@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from bench.panel.access.people import Role
-from bench.panel.access.store import Access
+from bench.panel.access import Access, Role
 from bench.panel.app import make_app
 from bench.panel.settings import STATE, Settings
 from bench.run.manifest import EVENTS, MANIFEST

@@ -7,7 +7,7 @@ import shutil
 import pytest
 
 from bench.api.records import run_summary
-from bench.panel.access.people import Refusal
+from bench.panel.access import Refusal
 from bench.panel.folder import RunsFolder, read_page
 from bench.panel.table import UNREAD, RunsTable, state_at_the_end
 from bench.run.folder import Run

@@ -5,11 +5,19 @@ from pathlib import Path
 
 import pytest
 
-from bench.panel.access.people import Refusal, Role
-from bench.panel.launching import trying
-from bench.panel.launching.choices import choices, chosen_bench
-from bench.panel.launching.detached import start, wait_until
-from bench.panel.launching.wish import MOST_KEPT, Found, Wanted, Wishes, WishFolder
+from bench.panel import trying
+from bench.panel.access import Refusal, Role
+from bench.panel.launching import (
+    MOST_KEPT,
+    Found,
+    Wanted,
+    Wishes,
+    WishFolder,
+    choices,
+    chosen_bench,
+    start,
+    wait_until,
+)
 from bench.panel.panel import Panel
 from bench.panel.settings import Settings
 from tests.support.panel_client import Browser
@@ -164,7 +172,7 @@ def test_a_wish_is_checked_and_tried_by_a_process_of_its_own(runs):
             str(choices("procedures")["quick"]), str(choices("config")["paper-stand"]), unit="17-042"
         ).hashed()
     )
-    process = start([str(wish.path)], wish.path / "log", program=("-m", "bench.panel.launching.trying"))
+    process = start([str(wish.path)], wish.path / "log", program=("-m", "bench.panel.trying"))
     assert process.process.wait(120) == 0, process.last_words()
     found = wish.found()
     assert (found.stage, found.tried, found.startable) == ("done", 0, True)

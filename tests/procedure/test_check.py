@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.assumptions import require_rank
-from bench.api import outlook as command
+from bench.api import until as command
 from bench.assembly.served import dry_bench
 from bench.cli.app import main
 from bench.files.bench.file import load_bench

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bench.analysis.diagnosis.linear import make_linear
-from bench.analysis.diagnosis.planned import planned_readings
+from bench.analysis.diagnosis.next_measurement import planned_readings
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.separation import EffectPart, ReadingDesign
+from bench.analysis.diagnosis.visibility import EffectPart, ReadingDesign
 from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure

@@ -7,9 +7,9 @@ import pytest
 
 from bench.base.arrays import ARCSEC, HOUR
 from bench.model.geometry import STAND_ANGLES
+from bench.readings.columns import drift_rad_s
+from bench.readings.corrected import FOUNDATION_ARCSEC_H, Seen, with_levels
 from bench.readings.csv import ReadingsError, read_csv, write_csv
-from bench.readings.level_columns import drift_rad_s
-from bench.readings.levelled import FOUNDATION_ARCSEC_H, Seen, with_levels
 from bench.readings.table import make_readings
 
 

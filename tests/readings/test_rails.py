@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bench.readings.columns import current_column, nominal_column, voltage_column
 from bench.readings.csv import ReadingsError, format_csv, read_csv
-from bench.readings.rails import current_column, nominal_column, voltage_column
 
 HEADER = "installation,pass,point,angle_deg,ux_v,uy_v,uz_v"
 RAILS = "rail_n15_v,rail_n15_nominal_v,rail_n15_a,rail_p15_v,rail_p15_nominal_v,rail_raw_v"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from bench.readings.columns import Rail, between, columns_of, ranges_in_words
 from bench.readings.csv import format_csv, read_csv
 from bench.readings.reading import Reading, readings_of
-from bench.readings.supplied import Rail, between, columns_of, ranges_in_words
 
 RAILS = {"p15": Rail(15.01, 15.0, 0.061), "n15": Rail(-14.98, -15.0, 0.058)}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.analysis.control_charts.chart import CheckRun, control_chart
-from bench.analysis.control_charts.design import Design
+from bench.analysis.control_charts.statistics import Design
 from bench.report.control_chart import ChartOfBlock, render_chart
 
 NOTHING = np.zeros((12, 12))

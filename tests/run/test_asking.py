@@ -7,14 +7,13 @@ import pty
 import pytest
 from rich.console import Console
 
-from bench.run import asking, typed_line
-from bench.run.answers import ANSWERS, LeftAnswer, leave_answer, open_prompt
-from bench.run.asking import READ_S, Asker
+from bench.run import asking
+from bench.run import terminal as typed_line
+from bench.run.answers import ANSWERS, LeftAnswer, ask, confirm, leave_answer, open_prompt
+from bench.run.asking import READ_S, Asker, WishListener
 from bench.run.control import ControlFile, OperatorWish, RunControl, Stopped, Who, leave_wish
 from bench.run.events import Event
-from bench.run.listening import WishListener
 from bench.run.power import RailFault
-from bench.run.prompts import ask, confirm
 from bench.run.sentences import sentence
 from bench.run.states import Wish
 from bench.run.terminal import TerminalPerson
@@ -82,7 +81,7 @@ def keyboard_and_person(run, monkeypatch):
             run.happen()
         return found
 
-    monkeypatch.setattr("bench.run.typed_line.select.select", at_once)
+    monkeypatch.setattr("bench.run.terminal.select.select", at_once)
     keys, screen = pty.openpty()
     with os.fdopen(screen, encoding="utf-8") as answers, os.fdopen(keys, "wb", buffering=0) as keyboard:
         shown = io.StringIO()

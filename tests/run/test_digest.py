@@ -6,9 +6,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.run import digest as digest_module
-from bench.run.digest import Digest, Digests
-from bench.run.folder import Run
+from bench.run import folder as digest_module
+from bench.run.folder import Digest, Digests, Run
 from bench.run.manifest import EVENTS
 from bench.run.record import Record
 

@@ -8,14 +8,13 @@ import pytest
 
 from bench.run import asking
 from bench.run.answers import LeftAnswer, OpenPrompt, leave_answer, open_prompt
-from bench.run.asking import Asker
+from bench.run.asking import Asker, WishListener
 from bench.run.control import ControlFile, RunControl, Who, leave_wish
 from bench.run.history import read_history
-from bench.run.listening import WishListener
+from bench.run.interruptions import Interrupts
 from bench.run.record import Record
 from bench.run.resume import Progress, resume_point
 from bench.run.runner import RunAborted
-from bench.run.signals import Interrupts
 from bench.run.states import RunState, Wish
 from tests.support.runner_bench import NOON, READS, Bench, make_runner, new_record, recorded
 

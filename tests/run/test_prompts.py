@@ -7,13 +7,12 @@ import pytest
 from rich.console import Console
 
 from bench.procedure.plan import Mount
+from bench.run.answers import agree, ask, confirm
 from bench.run.control import ControlFile, OperatorWish, RunControl, leave_wish
 from bench.run.mounting import mount_prompt
-from bench.run.prompts import agree, ask, confirm
 from bench.run.same_serial import same_serials
 from bench.run.states import Wish
-from bench.run.terminal import TerminalPerson
-from bench.run.typing_help import heard_at, typing_help
+from bench.run.terminal import TerminalPerson, heard_at, typing_help
 from drivers.interfaces import Answer, BenchError, Identity, NoAnswer, Prompt, PromptKind
 
 

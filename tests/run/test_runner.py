@@ -12,14 +12,7 @@ from bench.run.mounting import UNTOUCHED
 from bench.run.record import Record
 from bench.run.resume import Progress, resume_point
 from bench.run.workbench import Instruments
-from drivers.interfaces import (
-    Answer,
-    BadReading,
-    BenchError,
-    Identity,
-    LimitExceeded,
-    NotConnected,
-)
+from drivers.interfaces import Answer, BadReading, BenchError, Identity, LimitExceeded, NotConnected
 from tests.support.runner_bench import (
     ALL,
     NOON,

@@ -14,7 +14,7 @@ import pytest
 
 from bench.run.folder import Run
 from bench.run.history import read_history
-from bench.run.signals import SIGNALS, Interrupts
+from bench.run.interruptions import SIGNALS, Interrupts
 from tests.support.patience import PATIENCE_S, wait_for
 
 LONG = """\

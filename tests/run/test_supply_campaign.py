@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import supply_campaign, supply_trials
-from sim.world.rails import Disturbance
+from sim.world.power import Disturbance
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.analysis.budget.thermometer import thermometer_size
+from bench.analysis.budget.meters import thermometer_size
 from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.bench.traceability import corrections_of
@@ -17,7 +17,7 @@ from bench.readings.csv import read_csv
 from bench.run.folder import Run
 from drivers.interfaces import Answer, BadReading, LimitExceeded
 from drivers.keysight_34970a.thermometer import Keysight34970AThermometer
-from drivers.manual.thermometer import ManualThermometer
+from drivers.manual.chamber import ManualThermometer
 
 BESIDE = '{driver: keysight-34970a-thermometer, resource: "%s", interface: gpib, channel: %s}'
 CERTIFICATE = (

@@ -8,18 +8,17 @@ import signal
 import pytest
 from rich.console import Console
 
-from bench.run import typed_line
+from bench.run import terminal as typed_line
 from bench.run.control import RunControl
+from bench.run.interruptions import Interrupts
 from bench.run.power import WATCH_S, RailFault
-from bench.run.signals import Interrupts
 from bench.run.states import RunState, Wish
-from bench.run.terminal import ProgressBar, TerminalPerson
-from bench.run.typed_line import LineReader
+from bench.run.terminal import LineReader, ProgressBar, TerminalPerson
 from benchmarks import supply_trials
 from benchmarks.fault_trials import command
 from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
-from sim.world.rails import Disturbance
+from sim.world.power import Disturbance
 from tests.support.fed_runs import Supply, fed_runner
 from tests.support.runner_bench import PLAN, Bench, new_record, recorded
 
@@ -37,7 +36,7 @@ class Passing(VirtualClock):
 @pytest.fixture
 def terminal(monkeypatch):
     """A terminal of the system: where keys are hit, and the stream that a program reads."""
-    monkeypatch.setattr("bench.run.typed_line.select.select", _at_once(typed_line.select.select))
+    monkeypatch.setattr("bench.run.terminal.select.select", _at_once(typed_line.select.select))
     keys, screen = pty.openpty()
     with os.fdopen(screen, encoding="utf-8") as answers, os.fdopen(keys, "wb", buffering=0) as keyboard:
         yield keyboard, answers
@@ -88,7 +87,7 @@ def test_what_a_look_raises_ends_the_question(terminal):
 
 def test_lines_of_a_pipe_are_read_one_by_one_and_its_end_is_nobody(monkeypatch):
     """A stream that had read ahead would let the system say that nothing is there."""
-    monkeypatch.setattr("bench.run.typed_line.select.select", _at_once(typed_line.select.select))
+    monkeypatch.setattr("bench.run.terminal.select.select", _at_once(typed_line.select.select))
     out, into = os.pipe()
     looks = []
     with os.fdopen(out, encoding="utf-8") as answers:

@@ -7,8 +7,8 @@ from contextlib import closing
 import pytest
 
 from bench.procedure.plan import Plan, SetTemperature
+from bench.run.interruptions import SIGNALS, Interrupts
 from bench.run.record import RecordError
-from bench.run.signals import SIGNALS, Interrupts
 from bench.run.way_out import with_notes
 from drivers.interfaces import BenchError, Identity, InstrumentLost, LimitExceeded
 from tests.support.runner_bench import (

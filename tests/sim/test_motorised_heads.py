@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sim.acutrol import AcutrolTable
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
 from sim.world.world import World
 from sim.zaber import ZaberStage
 from tests.support.simulated_stand import a_world

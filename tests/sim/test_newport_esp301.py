@@ -8,7 +8,7 @@ import random
 import pytest
 
 from sim.newport_esp301 import Esp301
-from sim.world.turning import HeadFault
+from sim.world.pose import HeadFault
 from sim.world.world import World
 from tests.support.simulated_stand import a_world
 

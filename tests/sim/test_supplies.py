@@ -11,7 +11,7 @@ from sim.aim_tti import AimTti
 from sim.keysight_e3631a import KeysightE3631A
 from sim.keysight_e36300 import KeysightE36300
 from sim.world.clock import VirtualClock
-from sim.world.rails import Disturbance, PowerSettings, Rail
+from sim.world.power import Disturbance, PowerSettings, Rail
 from sim.world.world import World, WorldSettings
 
 BLOCK = Block(np.diag([-2.2, -2.1, -2.15]), np.zeros(3))

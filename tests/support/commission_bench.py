@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
-from bench.commission.evening import Evening, Listening
-from bench.commission.wire import WireWatch
+from bench.commission.session import Evening, Listening, WireWatch
 from bench.files.bench.file import BenchFile, load_bench
 from bench.files.shipped import find_bench
 from bench.run.workbench import Instruments

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.api.origin import BenchOrigin, Origin, UnitOrigin
+from bench.api.bench_selection import BenchOrigin, Origin, UnitOrigin
 from bench.readings.csv import write_csv
 from bench.readings.table import Readings
 from bench.run.manifest import sha256

@@ -16,8 +16,13 @@ from typing import Any, get_args
 
 import yaml
 
-from bench.assembly.real import Surroundings, instruments_of
-from bench.assembly.simulated import operator_of, simulated_instruments, world_of
+from bench.assembly.instruments import (
+    Surroundings,
+    instruments_of,
+    operator_of,
+    simulated_instruments,
+    world_of,
+)
 from bench.devices.device import Device, Role
 from bench.devices.registry import devices
 from bench.files.bench.file import BenchFile, load_bench

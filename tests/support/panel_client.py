@@ -11,8 +11,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # the client tells of a successor of what it stands on
     from starlette.testclient import TestClient
 
-from bench.panel.access.people import Role
-from bench.panel.access.store import Access
+from bench.panel.access import Access, Role
 from bench.panel.app import make_app
 from bench.panel.settings import STATE, Settings
 

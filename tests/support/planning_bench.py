@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bench.analysis.planning.goals import Goal, whole_goal
+from bench.analysis.planning.optimal_design import Goal, whole_goal
 from bench.analysis.planning.points import Sites
 from bench.analysis.planning.settings import Cost, fitted, settings_of
 from bench.analysis.planning.stand import Stand

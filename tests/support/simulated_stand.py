@@ -14,8 +14,7 @@ from drivers.wire.visa import MessageSession, Wire
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedMeter
 from sim.wires.server import TcpServer
-from sim.wires.session import Dialect, FaultHook, ServedInstrument
-from sim.wires.traffic import Traffic
+from sim.wires.session import Dialect, FaultHook, ServedInstrument, Traffic
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 

@@ -8,10 +8,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.analysis.budget.acceleration import AtMagnitude, DeltaG, delta_g, magnitudes, over_directions
+from bench.analysis.budget.acceleration import (
+    AtMagnitude,
+    DeltaG,
+    ExactResult,
+    delta_g,
+    exact_monte_carlo,
+    magnitudes,
+    over_directions,
+)
 from bench.analysis.budget.coefficients import Budget, make_budget
 from bench.analysis.budget.error_source import ErrorSource
-from bench.analysis.budget.exact import ExactResult, exact_monte_carlo
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import ROLL_ORIGIN
 from bench.analysis.calibration.conformity import DecisionRule, Population

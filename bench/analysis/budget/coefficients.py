@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.analysis.budget.error_source import ErrorSource
-from bench.analysis.budget.estimators import gain as gain_of
-from bench.analysis.budget.patterns import influences
+from bench.analysis.budget.patterns import Seen, influences
 from bench.analysis.budget.propagation import (
     COVERAGE,
     Propagated,
@@ -20,8 +19,8 @@ from bench.analysis.budget.propagation import (
     coverage_factor,
     effective_dof,
 )
-from bench.analysis.budget.seen import Seen
 from bench.analysis.budget.setup import Setup
+from bench.analysis.budget.setup import gain as gain_of
 from bench.analysis.budget.sources import sizes_by_name
 from bench.analysis.calibration.estimators import GLS
 from bench.analysis.calibration.known import KnownStand

@@ -1,18 +1,25 @@
-"""An error of a bench by name: how large, how distributed, what it is common to, where its size comes from."""
+"""Errors of a bench by name: size, distribution, what shares them; as learned; of the foundation."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 
 from bench.analysis.calibration.design import EffectUnknown
-from bench.base.arrays import ARCSEC, CHANNELS, Floats
-from bench.model import Distribution
-from bench.readings.levelled import DAY
+from bench.analysis.calibration.known import KnownNoise, KnownStand
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, rms
+from bench.files.bench.file import BenchFile
+from bench.model.block import Block
+from bench.model.conditions import Conditions, Mounting
+from bench.model.distribution import Distribution
+from bench.model.geometry import STAND_ANGLES, Installation
+from bench.readings.columns import drift_rad_s
+from bench.readings.corrected import DAY, FOUNDATION
+from bench.readings.table import Readings
 
 Common = Literal["reading", "setting", "angle", "orientation", "mounting", "time", "run"]
 """What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
@@ -93,3 +100,148 @@ class ErrorSource:
     def sized(self, u: float) -> ErrorSource:
         """Return the source with another standard uncertainty, normally distributed."""
         return replace(self, distribution=Distribution(u), origin="as asked")
+
+
+MEANS: Final = "stand_means"
+LEARNED: Final = "learned of the bench"
+
+
+def learned_sources(
+    stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
+) -> tuple[ErrorSource, ...]:
+    """Return the sources of a stand's errors for readings in these mountings, as a calibration takes what is known.
+
+    An angle of a mounting is a mean that others share and its own departure: `stated` sources keep their names for
+    the latter, and the former, which hang together, are one source. Noise has its size in each channel.
+    """
+    return tuple(_sources(stated, known, mounts))
+
+
+def _sources(
+    stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
+) -> Iterator[ErrorSource]:
+    labels = [mount.installation for mount in mounts]
+    angles = [s for s in stated if s.name in STAND_ANGLES and s.u > 0]
+    yield from _means(tuple(s.name for s in angles), known, labels)
+    for source in stated:
+        if source in angles:
+            told = [known.place(source.name, label) is not None for label in labels]
+            own = np.where(told, known.remount.get(source.name, 0.0), source.u)
+            origin = f"{LEARNED}: what a remount adds"
+            learned = replace(source, origin=origin, prior=False, dof=np.inf) if any(told) else source
+            yield _with_root(learned, np.diag(own))
+        elif known.noise is not None and source.name in ("voltmeter_error", "setting_error"):
+            yield from _noise(source, known.noise)
+        else:
+            yield source
+
+
+def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> Iterator[ErrorSource]:
+    """Yield the means of all kinds (draws by kind, then by mounting), of which mountings share one each."""
+    size, axes = np.linalg.eigh(known.covariance)
+    half = axes * np.sqrt(np.maximum(size, 0.0))
+    places = [known.place(kind, label) for kind in kinds for label in labels]
+    root = np.array([np.zeros(len(half)) if place is None else half[place] for place in places])
+    if root.size and np.any(root):
+        plain = ErrorSource(
+            MEANS, "α mean", "rad", Distribution(1.0), "run", "stand", f"{LEARNED}: means of all mountings",
+            angles=kinds,
+        )  # fmt: skip
+        yield _with_root(plain, root)
+
+
+def _with_root(source: ErrorSource, root: Floats) -> ErrorSource:
+    """Return a source whose draws are those of the root, SI: its u is what one of them has on the mean."""
+    u = rms(np.sqrt(np.sum(root**2, axis=1)))
+    return replace(
+        source,
+        distribution=Distribution(u),
+        root=tuple(tuple(row) for row in (root / max(u, 1e-300)).tolist()),
+    )
+
+
+def _noise(source: ErrorSource, noise: KnownNoise) -> Iterator[ErrorSource]:
+    if source.name == "setting_error":
+        yield replace(
+            source,
+            distribution=Distribution(noise.setting_rad),
+            dof=noise.setting_dof,
+            origin=LEARNED,
+            prior=False,
+        )
+        return
+    for channel, size, dof in zip(CHANNELS, noise.channels.tolist(), noise.channel_dof.tolist(), strict=True):
+        yield replace(
+            source, name=f"{source.name}[{channel}]", distribution=Distribution(size), dof=dof, origin=LEARNED,
+            prior=False, channels=(channel,),
+        )  # fmt: skip
+
+
+NAME = "foundation"
+
+
+@dataclass(frozen=True)
+class Foundation:
+    """How fast the platform tilts, along the shaft and across it: standard uncertainties, rad/s."""
+
+    along_rad_s: float
+    across_rad_s: float
+    origin: str
+    prior: bool = False
+    dof: float = np.inf
+
+    @property
+    def shown(self) -> str:
+        """Its sizes in words."""
+        along, across = (rate * DAY / ARCSEC for rate in (self.along_rad_s, self.across_rad_s))
+        return (
+            f"{along:.2g} and {across:.2g} arcsec a day" if along != across else f"{along:.2g} arcsec a day"
+        )
+
+    def source(self) -> ErrorSource:
+        """Return it as one of the errors of a bench, of the larger of both sizes."""
+        size = replace(FOUNDATION, limit=max(self.along_rad_s, self.across_rad_s), shape="normal", k=1.0)
+        return ErrorSource(NAME, "α1, α2", "rad/s", size, "run", "stand", self.origin, self.dof, self.prior)
+
+    def parts(
+        self, conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation],
+        functionals: Floats,
+    ) -> Floats:  # fmt: skip
+        """Return what each of both tilts, one u large, adds to linear functionals (m, n, 3), shape (m, 2).
+
+        `across` (n, 3) is how the signals change with an angle about the shaft.
+        """
+        tilts = np.stack(tilt_patterns(conditions, block, across, installations))
+        return np.asarray(
+            np.einsum("mni,qni->mq", functionals, tilts) * [self.along_rad_s, self.across_rad_s]
+        )
+
+
+def tilt_patterns(
+    conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation]
+) -> tuple[Floats, Floats]:
+    """Return what a platform that tilts along the shaft and across it, 1 rad/s, does to the signals, V (n, 3)."""
+    time_s = np.nan_to_num(conditions.elapsed_s)
+    begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
+    gone_s = (time_s - begun[conditions.mount])[:, None]
+    known = [installations.get(mount.installation) for mount in conditions.mounts]
+    # tilted by α1 the specific force has so much along y of the platform
+    on_block = np.stack([np.zeros(3) if i is None else i.block_from_platform[:, 1] for i in known])
+    return (on_block @ block.K.T)[conditions.mount] * gone_s, across * gone_s
+
+
+def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> Foundation | None:
+    """Return how the foundation of a bench moves; None where nobody says so and nothing was `levelled`.
+
+    What the level showed with these `readings` counts before what the bench file states.
+    """
+    seen = None if readings is None else drift_rad_s(readings.extra)
+    if seen is not None:
+        return Foundation(*seen, "the level, read again after the platform was levelled")
+    stated = bench.stand.foundation
+    if stated is not None:
+        rate = stated.to_distribution().u / DAY
+        return Foundation(rate, rate, "bench file", dof=stated.dof)
+    if not levelled:
+        return None
+    return Foundation(FOUNDATION.u, FOUNDATION.u, "not stated: ±2 arcsec a day, the paper's", prior=True)

@@ -1,21 +1,91 @@
-"""What each error of a bench does to the signals, and which of them share a draw of it."""
+"""What each error of a bench does to the signals, and which signals share a draw of it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 import numpy as np
 
-from bench.analysis.budget.error_source import ErrorSource
-from bench.analysis.budget.foundation import NAME as FOUNDATION
-from bench.analysis.budget.foundation import tilt_patterns
-from bench.analysis.budget.influence import Influence
-from bench.analysis.budget.seen import Seen
+from bench.analysis.budget.error_source import NAME as FOUNDATION
+from bench.analysis.budget.error_source import ErrorSource, tilt_patterns
 from bench.analysis.budget.setup import Setup
 from bench.base.arrays import Floats, Ints
-from bench.model import STAND_ANGLES
+from bench.model.block import Block
+from bench.model.conditions import Conditions
+from bench.model.geometry import STAND_ANGLES
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What one unit of an error does to the signals of n readings.
+
+    `pattern` (n, 3) is in V per unit of the error; entries with the same number in `group` (n, 3), counted
+    from 0 to `draws` - 1, share one draw of it.
+    """
+
+    pattern: Floats
+    group: Ints
+    draws: int
+
+    @classmethod
+    def of(cls, pattern: Floats, group: Ints) -> Influence:
+        """Build from a pattern (n, 3) and labels that broadcast to it: equal labels share a draw."""
+        labels, numbers = np.unique(np.broadcast_to(group, pattern.shape), return_inverse=True)
+        return cls(pattern, numbers.reshape(pattern.shape), len(labels))
+
+    def through(self, functionals: Floats) -> Floats:
+        """Return what each draw, one unit large, adds to m linear functionals (m, n, 3) of the readings.
+
+        Shape (m, draws).
+        """
+        m = len(functionals)
+        flat: Floats = (functionals * self.pattern).reshape(m, -1)
+        group = self.group.ravel()
+        if self.draws == flat.shape[1] and np.array_equal(group, np.arange(self.draws)):
+            return flat
+        shared = np.zeros((flat.shape[1], self.draws))
+        shared[np.arange(len(group)), group] = 1.0
+        return flat @ shared
+
+    def on_readings(self, drawn: Floats) -> Floats:
+        """Return the errors (…, n, 3) of the readings for drawn errors (…, draws)."""
+        return drawn[..., self.group] * self.pattern
+
+
+class Seen(Protocol):
+    """What an error needs to know of n readings."""
+
+    @property
+    def signal(self) -> Floats:
+        """The signals, V, shape (n, 3)."""
+
+    @property
+    def force(self) -> Floats:
+        """The specific forces on the block, g, shape (n, 3)."""
+
+    @property
+    def setting_slope(self) -> Floats:
+        """du/dphi, V/rad, shape (n, 3)."""
+
+    @property
+    def orientation(self) -> Ints:
+        """A number for each reading, shape (n,): the same where the specific force is the same."""
+
+    @property
+    def conditions(self) -> Conditions:
+        """Where, when and how warm each reading is."""
+
+    @property
+    def block(self) -> Block:
+        """The block that they are of."""
+
+    @property
+    def meters(self) -> tuple[int, int, int]:
+        """The number of the voltmeter of x, y and z."""
+
 
 _Patterns = Sequence[tuple[Floats, Ints]]
 """What a unit of a source does to the signals, V (n, 3), and what shares a draw of it, as `Influence.of`."""

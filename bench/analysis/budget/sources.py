@@ -10,13 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.budget.alike import KnownMeters
-from bench.analysis.budget.error_source import Common, ErrorSource
-from bench.analysis.budget.foundation import foundation_of
-from bench.analysis.budget.learned import learned_sources
-from bench.analysis.budget.meters import Size, linearity_of, size_of
+from bench.analysis.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
+from bench.analysis.budget.meters import KnownMeters, Size, linearity_of, size_of, thermometer_size
 from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.thermometer import thermometer_size
 from bench.analysis.calibration.design import SYMBOLS, WEAK
 from bench.analysis.calibration.known import KnownStand
 from bench.base.arrays import CHANNELS

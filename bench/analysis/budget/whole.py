@@ -14,16 +14,14 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.budget.alike import KnownMeters
 from bench.analysis.budget.coefficients import parts_of
-from bench.analysis.budget.error_source import ErrorSource
-from bench.analysis.budget.foundation import NAME, Foundation, foundation_of
+from bench.analysis.budget.error_source import NAME, ErrorSource, Foundation, foundation_of
+from bench.analysis.budget.meters import KnownMeters
 from bench.analysis.budget.propagation import effective_dof
 from bench.analysis.budget.setup import meters_of
 from bench.analysis.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
 from bench.analysis.calibration.components import walk_since
-from bench.analysis.calibration.result import Calibration
-from bench.analysis.calibration.source_of_error import SourceOfError
+from bench.analysis.calibration.result import Calibration, SourceOfError
 from bench.analysis.calibration.verification import modulus_slopes
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
 from bench.files.bench.file import BenchFile

@@ -2,7 +2,7 @@
 
 from bench.analysis.calibration.calibrate import calibrate
 from bench.analysis.calibration.estimators import ESTIMATORS
-from bench.analysis.calibration.plausibility import implausible
+from bench.analysis.calibration.mistakes import implausible
 from bench.analysis.calibration.result import (
     Calibration,
     CalibrationError,

@@ -7,8 +7,14 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.calibration.design import FIXED, SYMBOLS, Problem
-from bench.analysis.calibration.null_space import DirectionKind, axis_in_words
-from bench.analysis.calibration.observability import Columns, Observability, columns_of, with_angles
+from bench.analysis.calibration.observability import (
+    Columns,
+    DirectionKind,
+    Observability,
+    axis_in_words,
+    columns_of,
+    with_angles,
+)
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import ARCSEC, Floats
 from bench.model.block import COEFFICIENTS, Block, hidden_axes

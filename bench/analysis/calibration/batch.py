@@ -17,13 +17,13 @@ from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.known import KnownNoise, KnownStand
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, setting_limits
-from bench.analysis.calibration.repeats_likelihood import believed_sizes
-from bench.analysis.calibration.result import LEAST_DOF, CalibrationError, Noise
+from bench.analysis.calibration.result import CalibrationError, Noise
 from bench.base.arrays import Floats, Ints, unit_vectors
 from bench.model.block import Block, linear_columns
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel
 from bench.model.geometry import specific_force_on_platform
+from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
 
 CHUNK: Final = 200
 """Units at a time: their matrices stay in the processor's cache."""

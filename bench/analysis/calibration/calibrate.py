@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.analysis.calibration import gls, mistakes, outliers
 from bench.analysis.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
-from bench.analysis.calibration.components import Shared, heavy_tails, take_in
+from bench.analysis.calibration.components import Shared, heavy_tails, notes_on_noise, take_in
 from bench.analysis.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.analysis.calibration.estimator import Estimator, Task
 from bench.analysis.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
@@ -19,7 +19,6 @@ from bench.analysis.calibration.free import first_guess_free, triangular
 from bench.analysis.calibration.known import KnownStand
 from bench.analysis.calibration.linear import linear_estimate
 from bench.analysis.calibration.noise import require_told
-from bench.analysis.calibration.noise_notes import notes_on_noise
 from bench.analysis.calibration.outliers import Chosen
 from bench.analysis.calibration.result import (
     Calibration,

@@ -1,14 +1,8 @@
-"""What repeats share: variances common to a setting, to a pass, to a visit, and slow drift in time.
-
-Fresh noise alone makes repeats worth more than they are: a meter that errs alike at a setting in every pass, a pass
-that is off as a whole, a bias that wanders. Each of these is a variance of its own beside those of the noise, by
-restricted likelihood together with them, taken in where the readings ask for it. What is taken in widens the
-uncertainty, and weighs the readings accordingly.
-"""
+"""Variance components that repeats share: setting, pass, visit, drift; notes on them for a reader."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -18,11 +12,12 @@ from scipy import special
 from bench.analysis.calibration.design import Problem
 from bench.analysis.calibration.gls import Fit, finish
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, scatter_of_repeats
-from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximise
-from bench.analysis.calibration.repeats_likelihood import DIGITS
-from bench.analysis.calibration.result import Noise, widening
-from bench.base.arrays import CHANNELS, HOUR, Floats, Ints, rms
+from bench.analysis.calibration.result import Noise, NoisePrior, widening
+from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
+from bench.base.numbers import scale_for
 from bench.model.conditions import Conditions
+from bench.stats.reml import Mixed, Projection, asked_for, maximise
+from bench.stats.repeats_likelihood import DIGITS
 
 ASKED_P: Final = 0.01
 """Components are taken in where chance alone would ask for any of them less often than this."""
@@ -400,3 +395,77 @@ def heavy_tails(problem: Problem, fit: Fit) -> float:
     # repeats of a group are correlated: deviations count only as often as they are free
     free = 3.0 * float((count - 1)[count > 1].sum())
     return float(special.ndtr(-excess / np.sqrt(24.0 / free)))
+
+
+UNEQUAL_P: Final = 0.001
+"""Channels of different noise, and heavy tails, are told from here on: not in every hundredth run."""
+
+DISAGREES_P: Final = 0.05
+"""Few readings seldom contradict a statement: a doubt is told early."""
+
+_SHARED_BY: Final = {
+    "setting": "the readings at a setting (installation and point) in all passes",
+    ANGLE: "the readings at a setting (installation and point) in all passes",
+    "visit": "the readings of one stay at a setting",
+    "pass": "the readings of one pass",
+}
+
+
+def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, unit: str) -> tuple[str, ...]:
+    """Return the sentences; `tails` is the probability of such tails, `birge` by how much u was widened."""
+    notes = [*note_on_prior(noise, unit)]
+    if noise.channels is not None and noise.p_equal < UNEQUAL_P:
+        sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
+        notes.append(f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own")
+    if tails < UNEQUAL_P:
+        notes.append(
+            f"the noise has heavy tails (p = {tails:.1g}): u holds for its standard deviation, and the estimator "
+            "'robust' leaves out what is far off"
+        )
+    notes += _on_components(shared.components, unit)
+    if shared.drift is not None:
+        notes.append(
+            f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at any one time it is less "
+            "certain by as much as it wanders"
+        )
+    if birge > 1.0:
+        notes.append(
+            f"the model leaves more than the noise explains: u is {birge:.2g} times what the noise alone gives "
+            "(Birge ratio)"
+        )
+    return tuple(notes)
+
+
+def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
+    """Say where u rests on a statement, and whether the readings agree with it."""
+    return () if noise.prior is None else (_on_prior(noise.prior, unit),)
+
+
+def _on_prior(prior: NoisePrior, unit: str) -> str:
+    where = "the bench file states" if prior.stated else "other runs told"
+    scale = scale_for(prior.reading, unit)
+    rests = (
+        f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
+        f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
+    )
+    if not prior.readings_dof > 0:
+        return f"{rests}: so few readings leave nothing over that would show the noise"
+    scatter = f"they scatter {prior.ratio:.2g} times as much"
+    if prior.p < DISAGREES_P:
+        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
+    return f"{rests}: so few readings show little of it, and {scatter} (p = {prior.p:.2g})"
+
+
+def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
+    for what in dict.fromkeys(c.what for c in components):
+        own = [c for c in components if c.what == what]
+        if what == ANGLE:
+            sizes = f"{own[0].size / ARCSEC:.2g} arcsec of the head"
+        elif own[0].channels == "all":
+            sizes = f"{own[0].size:.2g} {unit}"
+        else:
+            sizes = ", ".join(f"{c.channels} {c.size:.2g} {unit}" for c in own)
+        if what == DRIFT:
+            yield f"the biases seem to wander over the run by {sizes} rms about their means: u holds it"
+        else:
+            yield f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average: u holds it"

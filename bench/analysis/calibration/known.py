@@ -1,20 +1,18 @@
-"""What is known before these readings: by other runs of the same bench the stand's angles, and the noise.
-
-An angle of a mounting is what it is in the mean of all mountings, of which the mean is known with a covariance, and
-its own departure from it, as large as remounting makes it. Angles of one run hang together by the mean.
-"""
+"""What other runs of a bench told: angles of the stand, sizes of noise, errors of the same meters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from typing import Final
 
 import numpy as np
 from scipy import special
 
-from bench.analysis.calibration.result import LEAST_DOF, Noise
+from bench.analysis.calibration.result import Noise
 from bench.base.arrays import Floats, rms
+from bench.stats.repeats_likelihood import LEAST_DOF
 
 CONTRADICTS_P: Final = 0.01
 """Noise of a run that is that much unlike what is known is taken as the run has it."""
@@ -144,3 +142,24 @@ class KnownStand:
             self.remount[name] if k else u for (name, _), k, u in zip(unknowns, known, stated_u, strict=True)
         ]
         return mean, covariance + np.diag(np.square(own))
+
+
+METERS_DRIFT: Final = timedelta(days=90)
+"""In so long a meter may drift through its limits: those of data sheets are of 90 days."""
+ONE_SITTING: Final = timedelta(days=1)
+"""Within so long a meter stays as it is: data sheets state 24 hours' limits apart, and they are of this kind."""
+
+
+def drifted(
+    first: tuple[Sequence[str], datetime | None], later: tuple[Sequence[str], datetime | None]
+) -> float:
+    """Return the part of the meters' limits by which their errors may differ, from 0 (they cancel) to 1.
+
+    Each side is the identities of its meters and the time; other meters, unnamed ones and times that nobody told
+    cancel nothing.
+    """
+    (meters, when), (other, then) = first, later
+    if not meters or tuple(meters) != tuple(other) or when is None or then is None:
+        return 1.0
+    apart = abs(then - when)
+    return 0.0 if apart <= ONE_SITTING else min(apart / METERS_DRIFT, 1.0)

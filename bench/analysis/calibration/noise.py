@@ -15,10 +15,10 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration.known import CONTRADICTS_P, LEAST_SIGNALS, KnownNoise
-from bench.analysis.calibration.repeats_likelihood import believed_sizes
-from bench.analysis.calibration.result import LEAST_DOF, CalibrationError, Noise, NoisePrior
+from bench.analysis.calibration.result import CalibrationError, Noise, NoisePrior
 from bench.base.arrays import Floats, Ints, least_squares, rms, unit_vectors
 from bench.model.conditions import Conditions
+from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
 
 LEAST_REPEATS: Final = 12
 """Repeats (readings less groups) below which their scatter is too poor a guide."""

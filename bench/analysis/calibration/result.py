@@ -1,4 +1,4 @@
-"""What a calibration returns: coefficients with their covariance, and everything needed to judge them."""
+"""What a calibration returns: coefficients with covariance, and everything needed to judge them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,51 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from bench.analysis.calibration.source_of_error import SourceOfError
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
+from bench.stats.repeats_likelihood import LEAST_DOF
 
 if TYPE_CHECKING:
     from bench.analysis.calibration.components import Component, Drift
 
+
+@dataclass(frozen=True)
+class SourceOfError:
+    """An error that these readings do not show, and what it adds: `covariance` (12, 12) of the coefficients.
+
+    `size` says in words how large it is taken, `origin` from where; `prior` that nobody stated it for this bench.
+    `cancels` tells that it acts alike wherever the same meters read the block. `of_block` (12, q) is there for
+    what the block itself brings wherever it goes: what each draw of it, one u large, adds to the coefficients.
+    """
+
+    name: str
+    symbol: str
+    size: str
+    origin: str
+    prior: bool
+    dof: float
+    covariance: Floats
+    cancels: bool = False
+    of_block: Floats | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "name": self.name,
+            "symbol": self.symbol,
+            "size": self.size,
+            "origin": self.origin,
+            "prior": self.prior,
+            "dof": finite_or_none(self.dof),
+            "u": dict(zip(COEFFICIENTS, u_of(self.covariance).tolist(), strict=True)),
+            "cancels_with_the_same_meters": self.cancels,
+        }
+
+
 COVERAGE_FACTOR: Final = 2.0
 """U is so many times u."""
-
-LEAST_DOF: Final = 4.0
-"""Degrees of freedom with which a size of the noise enters at least: a prior stands for those that readings lack.
-
-Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
-"""
 
 LACK_OF_FIT_P: Final = 0.01
 """A model fits readings where chance leaves as much at least this often."""

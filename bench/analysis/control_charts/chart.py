@@ -1,9 +1,4 @@
-"""The control chart of a check block: what its runs say, and which of them is rejected.
-
-A run is rejected by T² of all coefficients (a large change at once), by T² of their EWMA (a small one that
-lasts) or by its short-term standard deviation. Twelve charts with limits of their own would be twelve looks at
-one run; so the charts of single coefficients reject nothing, they say which coefficient it is.
-"""
+"""The control chart of a check block: which runs it rejects, as words and as JSON."""
 
 from __future__ import annotations
 
@@ -16,20 +11,244 @@ from typing import Any
 import numpy as np
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.control_charts.components import (
+from bench.analysis.control_charts.statistics import (
+    ALIKE_P,
+    Centre,
     Components,
+    Design,
     DriftSeen,
+    Judged,
     ShortTerm,
+    centre_of,
     components_of,
     drift_of,
+    judge,
+    least_runs,
     short_term,
+    without_one,
 )
-from bench.analysis.control_charts.design import Design
-from bench.analysis.control_charts.form import chart_json
-from bench.analysis.control_charts.statistics import Centre, Judged, centre_of, judge, least_runs, without_one
-from bench.analysis.control_charts.words import notes_of, reasons_of
 from bench.base.arrays import Floats
+from bench.base.numbers import MINUS, finite_or_none, probability
 from bench.model.block import COEFFICIENTS
+
+FEW_RUNS = 8
+"""With fewer in the baseline, limits are wide: the page says so."""
+
+
+def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
+    """Return why a later run is rejected, a clause for each statistic beyond its limit; nothing where none is."""
+    reasons = []
+    shewhart, ewma, short = chart.shewhart, chart.ewma, chart.short
+    if shewhart.t2[row] > chart.limit_t2:
+        which = _which(shewhart.z[row], chart.limit_single)
+        reasons.append(f"T² = {shewhart.t2[row]:.1f} is beyond {chart.limit_t2:.1f} ({which})")
+    if ewma.t2[row] > chart.limit_ewma:
+        which = _which(ewma.z[row], chart.limit_single_ewma)
+        reasons.append(f"T² of the EWMA = {ewma.t2[row]:.1f} is beyond {chart.limit_ewma:.1f} ({which})")
+    if short is not None and short.p[row] < chart.design.alpha:
+        reasons.append(
+            f"its short-term standard deviation is {np.sqrt(short.f[row]):.2f} times that of the baseline "
+            f"(F = {short.f[row]:.2f} for {short.dof[row]:.0f} and {short.pooled_dof:.0f})"
+        )
+    return tuple(reasons)
+
+
+def _which(z: Floats, limit: float) -> str:
+    """Say which coefficients are beyond their own limit, the farthest first; else the farthest, that none is."""
+    order = np.argsort(-np.abs(z))
+    beyond = [k for k in order if abs(z[k]) > limit]
+    named = [f"{COEFFICIENTS[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
+    return ", ".join(named[: len(beyond)]) if beyond else f"no coefficient alone; the farthest is {named[0]}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a sentence has them: "Kxx, Kxy and Kxz"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def notes_of(chart: ControlChart) -> tuple[str, ...]:
+    """Return what a reader of the chart should know, a sentence each."""
+    return (*_on_baseline(chart), *_on_components(chart), *_on_meters(chart), *_on_drift(chart))
+
+
+def _on_baseline(chart: ControlChart) -> list[str]:
+    notes = []
+    runs = len(chart.baseline)
+    if chart.reference is not None:
+        notes.append(
+            f"judged by the reference {chart.reference.name}: what lasts in the u of this bench (limits of its "
+            "meters, temperature) is in every limit, so that only large changes show; a baseline of the bench's "
+            "own runs sees smaller ones"
+        )
+    elif runs < FEW_RUNS:
+        notes.append(
+            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are as wide as so few make them; they "
+            "come closer with more"
+        )
+    if chart.alone is not None:
+        worst = int(np.argmin(chart.alone))
+        if runs * chart.alone[worst] < ALIKE_P:
+            notes.append(
+                f"{chart.baseline[worst].name} stands apart from the other runs of the baseline "
+                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find out why, or leave it out"
+            )
+    return notes
+
+
+def _on_components(chart: ControlChart) -> list[str]:
+    found = chart.components
+    if found is None:
+        return []
+    notes = []
+    more = [name for name, p in zip(COEFFICIENTS, found.more_than_stated, strict=True) if p < ALIKE_P]
+    if more:
+        notes.append(
+            f"between the runs of the baseline {_listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
+            "something comes anew with each run that the bench file does not state so large"
+        )
+    if found.birge_p < ALIKE_P:
+        taken = (
+            "believe stated u all the same" if chart.design.basis == "stated" else "are as the scatter shows"
+        )
+        notes.append(
+            f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
+            f"({probability(found.birge_p)}); the limits {taken}"
+        )
+    if chart.design.basis != "scatter" and found.alike_p < ALIKE_P:
+        notes.append(
+            f"stated u is not as right for every coefficient ({probability(found.alike_p)}): false alarms are more "
+            "frequent than stated; name under 'between_runs' what comes anew with each run, or take limits from "
+            "scatter (14 runs or more)"
+        )
+    return notes
+
+
+def _on_meters(chart: ControlChart) -> list[str]:
+    known = {run.meters for run in chart.baseline}
+    other = [run.name for run in chart.later if known and run.meters not in known]
+    if not other:
+        return []
+    return [
+        f"not known to be measured with the meters of the baseline: {_listed(other)}; the limits of both meters "
+        "are in u there; take a new baseline with the new meters"
+    ]
+
+
+def _on_drift(chart: ControlChart) -> list[str]:
+    if chart.drift is None:
+        return []
+    names = [name for name, p in zip(COEFFICIENTS, chart.drift.p, strict=True) if p < ALIKE_P]
+    if not names:
+        return []
+    return [
+        f"{_listed(names)} of the check block drift{'s' * (len(names) == 1)}: if it is the block and not the "
+        "bench, state it under 'drift' with its u"
+    ]
+
+
+def chart_json(chart: ControlChart) -> dict[str, Any]:
+    """Return the promised form: deviations and u in unit/g and unit, `z` in u, NaN and infinity as null."""
+    centre, design = chart.centre, chart.design
+    last = chart.verdicts[-1] if chart.verdicts else None
+    return {
+        "design": {
+            "arl": design.arl,
+            "arl_of_each": design.each_arl,
+            "smoothing": design.smoothing,
+            "limits_from": design.basis,
+        },
+        "baseline": [run.name for run in chart.baseline],
+        "reference": None if chart.reference is None else chart.reference.name,
+        "centre": _by_name(centre.value, np.sqrt(np.diag(centre.covariance) * centre.scale)),
+        "scale": float(np.sqrt(centre.scale)),
+        "dof": finite_or_none(centre.dof),
+        "limits": {
+            "t2": chart.limit_t2,
+            "ewma_t2": chart.limit_ewma,
+            "single": chart.limit_single,
+            "single_ewma": chart.limit_single_ewma,
+        },
+        "runs": [_run_json(chart, row) for row in range(len(chart.later))],
+        "components": _components_json(chart),
+        "drift": _drift_json(chart),
+        "baseline_alone_p": None if chart.alone is None else chart.alone.tolist(),
+        "in_control": chart.in_control,
+        "last": None if last is None else last.run,
+        "notes": list(chart.notes),
+    }
+
+
+def _run_json(chart: ControlChart, row: int) -> dict[str, Any]:
+    verdict, run, short = chart.verdicts[row], chart.later[row], chart.short
+    return {
+        "run": verdict.run,
+        "when": verdict.when.isoformat(),
+        "accepted": verdict.accepted,
+        "reasons": list(verdict.reasons),
+        "t2": float(chart.shewhart.t2[row]),
+        "p": float(chart.shewhart.p_joint[row]),
+        "ewma_t2": finite_or_none(float(chart.ewma.t2[row])),
+        "ewma_p": finite_or_none(float(chart.ewma.p_joint[row])),
+        "short_term": {
+            "s": run.s,
+            "dof": run.s_dof,
+            "f": None if short is None else float(short.f[row]),
+            "p": None if short is None else float(short.p[row]),
+        },
+        "coefficients": {
+            name: {
+                "deviation": float(chart.shewhart.deviation[row, k]),
+                "u": float(chart.shewhart.u[row, k]),
+                "z": float(chart.shewhart.z[row, k]),
+                "ewma": finite_or_none(float(chart.ewma.deviation[row, k])),
+                "ewma_u": finite_or_none(float(chart.ewma.u[row, k])),
+                "ewma_z": finite_or_none(float(chart.ewma.z[row, k])),
+            }
+            for k, name in enumerate(COEFFICIENTS)
+        },
+    }
+
+
+def _components_json(chart: ControlChart) -> dict[str, Any] | None:
+    found = chart.components
+    if found is None:
+        return None
+    columns = {
+        "noise": found.noise,
+        "stated": found.stated,
+        "scatter": found.scatter,
+        "f": found.f,
+        "p": found.p,
+        "between": found.between,
+        "between_most": found.between_most,
+    }
+    return {
+        "coefficients": {
+            name: {title: float(column[k]) for title, column in columns.items()}
+            for k, name in enumerate(COEFFICIENTS)
+        },
+        "runs": found.runs,
+        "birge": float(np.sqrt(found.birge2)),
+        "birge_dof": found.birge_dof,
+        "birge_p": found.birge_p,
+        "alike_p": found.alike_p,
+        "short_term": None
+        if chart.short is None
+        else {"s": chart.short.pooled, "dof": chart.short.pooled_dof},
+    }
+
+
+def _drift_json(chart: ControlChart) -> dict[str, Any] | None:
+    if chart.drift is None:
+        return None
+    rows = zip(COEFFICIENTS, chart.drift.per_year, chart.drift.u, chart.drift.p, strict=True)
+    return {name: {"per_year": float(value), "u": float(u), "p": float(p)} for name, value, u, p in rows}
+
+
+def _by_name(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
+    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=True)
+    return {name: {"value": value, "u": own} for name, value, own in rows}
+
 
 SECONDS_PER_YEAR = 365.25 * 86400.0
 LEAST_FOR_DRIFT = 5

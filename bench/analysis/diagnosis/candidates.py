@@ -1,12 +1,9 @@
-"""What might be missing: every effect of the catalogue in every form that it can have in these readings.
-
-A family is an effect by its name; its variants are the channels, mountings and shapes that it may have.
-Beside the catalogue stand unnamed families, which describe what nothing in the catalogue explains.
-"""
+"""Candidates: every effect of the catalogue in each form that these readings allow."""
 
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,11 +12,65 @@ from typing import Final
 import numpy as np
 
 from bench.analysis.diagnosis.linear import MODULUS, LinearSystem
-from bench.analysis.diagnosis.spells import spells
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
-from bench.model import CATALOGUE, AppliedEffect, Effect, Parameter
-from bench.model.effects.base import rows_of
-from bench.readings.table import VERIFICATION
+from bench.files.bench.file import BenchFile
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
+from bench.model.effects.base import pass_label, rows_of
+from bench.readings.table import UNORIENTED, VERIFICATION, Readings
+
+Cell = tuple[str, int]
+"""A mounting and one of its passes."""
+
+
+def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
+    """Yield labels of what may belong together: the later passes of a mounting, one pass, a whole mounting.
+
+    A whole mounting only where its installation was mounted more than once: of one that was not, nothing says
+    that the block ever sat otherwise, and how it sat are the angles of its mounting. With `lasting` any mounting,
+    and all that comes after a pass, verification points included: what stays through a remount.
+    A mounting all passes of which belong to it is named by itself.
+    """
+    mounts = [
+        label if series == 1 else f"{label}/{series}"
+        for label, series in zip(readings.installation.tolist(), readings.series.tolist(), strict=True)
+    ]
+    kinds = readings.installation.tolist()
+    rows = zip(mounts, readings.pass_number.tolist(), kinds, strict=True)
+    cells = list(dict.fromkeys((mount, number) for mount, number, kind in rows if kind not in UNORIENTED))
+    checked = {mount for mount, kind in zip(mounts, kinds, strict=True) if kind == VERIFICATION}
+    seen: set[tuple[str, ...]] = set()
+    fitted = [cell for cell in cells if cell[0] not in checked]
+    of_visit = dict(zip(mounts, kinds, strict=True))
+    visits = Counter(of_visit[mount] for mount in {mount for mount, _ in fitted})
+    whole = {mount for mount, _ in fitted if lasting or visits[of_visit[mount]] > 1}
+    for chosen in _chosen(fitted, whole, cells if lasting else []):
+        labels = _labels(chosen, cells)
+        if labels not in seen:
+            seen.add(labels)
+            yield labels
+
+
+def _chosen(
+    fitted: Sequence[Cell], whole: Collection[str], to_the_end: Sequence[Cell]
+) -> Iterator[Sequence[Cell]]:
+    for mount in dict.fromkeys(mount for mount, _ in fitted):
+        own = [cell for cell in fitted if cell[0] == mount]
+        yield from (own[first:] for first in range(1, len(own)))
+        if len(own) > 2:  # of two passes, one is as different from the other as the other from it
+            yield from ([cell] for cell in own[:-1])
+        if mount in whole and len(own) < len(fitted):
+            yield own
+    yield from (to_the_end[first:] for first in range(1, len(to_the_end)))
+
+
+def _labels(chosen: Sequence[Cell], cells: Sequence[Cell]) -> tuple[str, ...]:
+    labels = []
+    for mount in dict.fromkeys(mount for mount, _ in chosen):
+        own = [cell for cell in chosen if cell[0] == mount]
+        whole = len(own) == sum(cell[0] == mount for cell in cells)
+        labels += [mount] if whole else [pass_label(*cell) for cell in own]
+    return tuple(labels)
+
 
 SUBSETS: Final = tuple(
     subset for size in (1, 2, 3) for subset in itertools.combinations(range(3), size)
@@ -363,3 +414,64 @@ def _phase(linear: LinearSystem) -> Floats:
     timed = np.all(np.isfinite(time)) and np.ptp(time) > 0
     t = time if timed else linear.rows.reading.astype(np.float64)
     return np.asarray((t - t.min()) / max(float(np.ptp(t)), 1e-300))
+
+
+@dataclass(frozen=True)
+class KnownBench:
+    """What decides which effects can be there; None where nobody says it.
+
+    `own_meters`: each channel has a meter of its own. `fixed_ranges`: no meter changes its range.
+    `scale_on_axis`: the head's scale sits on the axis that turns the block, and no gear is between them.
+    """
+
+    own_meters: bool | None = None
+    fixed_ranges: bool | None = None
+    scale_on_axis: bool | None = None
+
+    @classmethod
+    def of(cls, bench: BenchFile) -> KnownBench:
+        """Return what a bench file says: in it the ranges of voltmeters are fixed."""
+        meters = bench.instruments.voltmeters
+        return cls(
+            own_meters=all(len(meter.channels) == 1 for meter in meters),
+            fixed_ranges=True,
+            scale_on_axis=bench.instruments.head.scale_on_axis,
+        )
+
+    def absent(self, readings: Readings) -> dict[str, str]:
+        """Return the effects of the catalogue that cannot be there, each with the reason.
+
+        What the record says of its ranges counts for more than what the bench file says.
+        """
+        fixed, said = self.fixed_ranges, "the bench file has fixed ranges"
+        recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
+        if recorded:
+            fixed, said = len(recorded) == 1, "all readings were taken on one range"
+        why = {
+            "range_offset": said if fixed else "",
+            "channel_crosstalk": "each channel has a voltmeter of its own" if self.own_meters else "",
+            "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
+            "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
+        }
+        return {name: why[name] for name in CATALOGUE if why.get(name)}
+
+    def not_judged(self, readings: Readings) -> str:
+        """Return which effects are looked for as nobody says that the bench cannot have them; or nothing."""
+        recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
+        unknown = {
+            "range_offset": self.fixed_ranges is None and not recorded,
+            "channel_crosstalk": self.own_meters is None,
+            "meters_exchanged": self.own_meters is None,
+            "backlash": self.scale_on_axis is None,
+        }
+        names = [name for name in CATALOGUE if unknown.get(name)]
+        if not names:
+            return ""
+        return (
+            f"whether the bench can have {', '.join(names)} was not judged, as nobody named its bench file: "
+            "they are looked for; --bench FILE says what meters and head it has"
+        )
+
+
+NOTHING_KNOWN = KnownBench()
+"""Of a bench of which nobody says anything."""

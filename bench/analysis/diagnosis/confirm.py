@@ -17,14 +17,14 @@ from scipy import special
 
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.design import FIXED, EffectUnknown
-from bench.analysis.diagnosis.course import diagnose
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
 from bench.analysis.diagnosis.free_result import FreeDiagnosis
 from bench.analysis.diagnosis.gap import BY_CHANCE, FLOOR, LEAST_CLOSED, part_closed, rms
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.looked import in_the_noise_of
+from bench.analysis.diagnosis.pipeline import diagnose
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.analysis.diagnosis.result import Diagnosis, EffectValue
+from bench.analysis.diagnosis.single_run_search import in_the_noise_of
 from bench.analysis.diagnosis.threshold import ThresholdCache
 from bench.base.arrays import CHANNELS, Floats
 from bench.model import AppliedEffect, ForwardModel

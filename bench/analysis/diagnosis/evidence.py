@@ -17,10 +17,9 @@ from typing import Any, Final
 import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates
-from bench.analysis.diagnosis.noise_grid import NoiseGrid
-from bench.analysis.diagnosis.products import OfColumns, OfGram, Products
+from bench.analysis.diagnosis.noise_grid import NoiseGrid, OfColumns, OfGram, Products
 from bench.base.arrays import Floats, Ints
-from bench.base.progress import tracked
+from bench.base.computing import tracked
 
 SIZES: Final = (1.0, 4.0, 20.0)
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))

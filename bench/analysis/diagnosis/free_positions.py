@@ -1,9 +1,4 @@
-"""A diagnosis of free positions alone: |a| = 1 g in any orientation, as everybody measures who has no head.
-
-What turns a or the sensor cannot be seen, and whatever an upper triangular K takes up is none of it. Seen are:
-readings that stand apart, drift and warm-up, squares and cubes of the sensor, temperature, and zeros or scale
-factors that differ between records; of several sensors side by side also what of that is common to them.
-"""
+"""A diagnosis of free positions alone, its gap, and a model confirmed by them."""
 
 from __future__ import annotations
 
@@ -15,22 +10,93 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration.design import FIXED, UPPER
-from bench.analysis.diagnosis.applied import applied_of
-from bench.analysis.diagnosis.between_records import BetweenRecords, between_records
-from bench.analysis.diagnosis.candidates import ZERO_BY_RUN
+from bench.analysis.calibration.result import CalibrationError
+from bench.analysis.diagnosis.candidates import ZERO_BY_RUN, Candidates
+from bench.analysis.diagnosis.confirm import STILL_SEEN, Confirmation, Estimated, Model, judged, square
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Data, Search, Whitened
-from bench.analysis.diagnosis.free_candidates import COMMON, make_free_candidates
-from bench.analysis.diagnosis.free_gap import free_gap
-from bench.analysis.diagnosis.free_noise import grid_of, scatter, stated, without_outliers
-from bench.analysis.diagnosis.free_records import FreeRows, make_rows
+from bench.analysis.diagnosis.free_records import OWN, BetweenRecords, FreeRows, between_records, make_rows
 from bench.analysis.diagnosis.free_result import FreeDiagnosis, FreeFit, FreeFound, place_of
+from bench.analysis.diagnosis.free_search import (
+    COMMON,
+    LEAST_FREEDOM,
+    grid_of,
+    make_free_candidates,
+    scatter,
+    stated,
+    without_outliers,
+)
+from bench.analysis.diagnosis.gap import Fold, Gap, HeldOut
 from bench.analysis.diagnosis.naming import Found, Naming, name
-from bench.analysis.diagnosis.posterior import NoiseSize
+from bench.analysis.diagnosis.posterior import NoiseSize, applied_of
 from bench.analysis.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.analysis.diagnosis.threshold import Threshold, fit_tail, total_evidence
-from bench.base.arrays import CHANNELS, Floats
-from bench.model import CATALOGUE, AppliedEffect, Block, ForwardModel
+from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import rms as root_mean_square
+from bench.model.block import Block
+from bench.model.effects import CATALOGUE, AppliedEffect
+from bench.model.forward import ForwardModel
 from bench.readings.table import FREE, Readings
+
+FOLDS: Final = 5
+
+
+def free_gap(
+    rows: FreeRows,
+    candidates: Candidates,
+    sigma: float,
+    limit: Threshold,
+    noise: NoiseSize,
+    named: Sequence[str],
+) -> Gap:
+    """Return the gap on readings held out; `sigma` is the scale of the search, `named` what all of them gave."""
+    fold_of = np.arange(len(rows)) % FOLDS
+    folds, undetermined = [], []
+    for number in range(FOLDS):
+        train = fold_of != number
+        label = f"positions {number + 1}, {number + FOLDS + 1}, …"
+        if grid_of(rows, sigma, train).freedom < LEAST_FREEDOM:
+            undetermined.append(label)
+        else:
+            folds.append(_fold(rows, candidates, sigma, limit, noise, train, label))
+    return Gap(tuple(folds), noise, "g", noise.freedom, tuple(named), tuple(undetermined))
+
+
+def _fold(
+    rows: FreeRows,
+    candidates: Candidates,
+    sigma: float,
+    limit: Threshold,
+    noise: NoiseSize,
+    train: Mask,
+    label: str,
+) -> Fold:
+    part = Candidates(candidates.columns[train], candidates.kinds, candidates.scale, candidates.variants)
+    kept = Whitened.of(grid_of(rows, sigma, train), part)
+    found = name(kept, kept.reduce(rows.response[train][:, None]), limit).found
+
+    def held_out(but: str | None) -> HeldOut:
+        chosen = [i for one in found if one.variant.family != but for i in one.variant.columns]
+        return _predicted(rows, candidates.columns[:, chosen], train, noise.reading)
+
+    after = held_out(None)
+    gains = {one.variant.family: held_out(one.variant.family).chi2 - after.chi2 for one in found}
+    before = _predicted(rows, candidates.columns[:, :0], train, noise.reading)
+    return Fold(label, gains, before, after, "")
+
+
+def _predicted(rows: FreeRows, effects: Floats, train: Mask, noise: float) -> HeldOut:
+    design = np.column_stack([rows.fixed, effects])
+    prior = np.concatenate([np.zeros(rows.fixed.shape[1]), np.full(effects.shape[1], 1 / KNOWN_SIZE**2)])
+    normal = design[train].T @ design[train] / noise**2 + np.diag(prior)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    covariance = np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    mean = covariance @ (design[train].T @ rows.response[train]) / noise**2
+    held = design[~train]
+    error = rows.response[~train] - held @ mean
+    spread = noise**2 * np.eye(len(error)) + held @ covariance @ held.T
+    chi2 = float(error @ np.linalg.solve(spread, error))
+    return HeldOut(error, error, np.sqrt(np.diag(spread)), chi2)
+
 
 CHANCE: Final = 0.01
 """What chance gives more often than that goes again, once all that was found stands beside it."""
@@ -220,3 +286,82 @@ def _where(rows: FreeRows, whitened: Whitened, naming: Naming, sigma: float) -> 
             )
     shown = [place for place in places if place["p"] < 0.01]
     return tuple(sorted(shown, key=lambda place: -place["size"])[:LISTED])
+
+
+LEAST_FREEDOM_TO_CONFIRM: Final = 1
+
+
+def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
+    """Hold free positions against a model with effects; what else is in them is looked for as in a diagnosis.
+
+    Raises `CalibrationError` where they do not determine the coefficients, or could not show the effects.
+    """
+    diagnosis = diagnose_free(tables, None, model)
+    rows, noise = diagnosis.rows, diagnosis.noise_g
+    unknowns = rows.unknowns
+    plausible = np.array([_plausible(model, u.effect, u.parameter) for u in unknowns])
+    found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
+    u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
+    freedom = len(rows) - OWN * rows.sensors
+    if freedom < LEAST_FREEDOM_TO_CONFIRM:
+        raise CalibrationError(
+            f"{len(rows)} free positions leave nothing to hold a model against; measure more"
+        )
+    before, _ = _left(rows, rows.response + rows.of_model @ found, noise, 0.0 * u)
+    after, chi2 = _left(rows, rows.response, noise, u)
+    change, covariance = _estimated(rows, noise, found, diagnosis.columns)
+    return Confirmation(
+        before=before,
+        after=after,
+        p_after=float(special.fdtrc(freedom, diagnosis.freedom, chi2 / freedom)),
+        effects=judged(model, unknowns, Estimated(plausible, found, u, change, covariance)),
+        diagnosis=diagnosis,
+    )
+
+
+def _plausible(model: ForwardModel, effect: int, parameter: str) -> float:
+    return next(p.plausible for p in model.effects[effect].effect.parameters if p.name == parameter)
+
+
+def _left(rows: FreeRows, response: Floats, noise: float, u: Floats) -> tuple[Model, float]:
+    """Return what the coefficients, and effects with these u about their values, leave; and its chi-square."""
+    design = np.column_stack([rows.coefficients, rows.of_model * u])
+    prior = np.concatenate([np.zeros(rows.coefficients.shape[1]), np.full(len(u), noise**2)])
+    covariance = _inverse(design.T @ design + np.diag(prior))
+    mean = covariance @ (design.T @ response)
+    error = response - design @ mean
+    chi2 = float(error @ error / noise**2 + np.sum(mean[rows.coefficients.shape[1] :] ** 2))
+    expected = noise * np.sqrt(np.maximum(1.0 - np.einsum("ni,ij,nj->n", design, covariance, design), 0.0))
+    freedom = len(rows) - OWN * rows.sensors
+    return Model(chi2 / freedom, root_mean_square(error), root_mean_square(expected)), chi2
+
+
+def _estimated(
+    rows: FreeRows, noise: float, found: Floats, beside: Sequence[Floats]
+) -> tuple[Floats, Floats]:
+    """Return by how much the effects differ from the values `found`, in plausible sizes, and the covariance.
+
+    What else was found is estimated with them, unless it would hide them: it stands then for their change.
+    """
+    mine = slice(rows.coefficients.shape[1], rows.fixed.shape[1])
+
+    def fitted(design: Floats) -> tuple[Floats, Floats]:
+        prior = np.zeros(design.shape[1])
+        prior[mine.start :] = (noise / KNOWN_SIZE) ** 2
+        covariance = _inverse(design.T @ design + np.diag(prior))
+        mean = covariance @ (design.T @ rows.response)
+        return mean[mine], noise**2 * covariance[mine, mine]
+
+    design = rows.fixed
+    estimate = fitted(design)
+    for columns in beside:
+        more = np.column_stack([design, columns])
+        again = fitted(more)
+        if square(found, again[1]) >= STILL_SEEN * square(found, estimate[1]):
+            design, estimate = more, again
+    return estimate
+
+
+def _inverse(normal: Floats) -> Floats:
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(np.linalg.pinv(normal / np.outer(size, size), hermitian=True) / np.outer(size, size))

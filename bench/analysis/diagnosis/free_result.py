@@ -8,8 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.analysis.diagnosis.between_records import BetweenRecords
-from bench.analysis.diagnosis.free_records import OWN, FreeRows
+from bench.analysis.diagnosis.free_records import OWN, BetweenRecords, FreeRows
 from bench.analysis.diagnosis.gap import Gap
 from bench.analysis.diagnosis.result import EffectValue, Verdict, nested
 from bench.base.arrays import Floats, Ints

@@ -1,4 +1,4 @@
-"""One effect after the other: the most plausible family is taken into the model, then all is looked at again."""
+"""Naming: the most plausible family joins the model, then all are scored again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.analysis.diagnosis.candidates import SLIP, UNNAMED, Variant
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, Data, Scores, Search, Whitened, beside_each
 from bench.analysis.diagnosis.threshold import Threshold, total_evidence
 from bench.base.arrays import Floats
-from bench.model import CATALOGUE
+from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
 LEAK: Final = 2.5
@@ -331,3 +331,14 @@ def _explaining(scored: Scored, variant: Variant, enough: float, most: float = A
 
 def _subsystem(family: str) -> object:
     return CATALOGUE[family].subsystem
+
+
+def same_signature(naming: Naming) -> Iterator[str]:
+    """Yield a sentence for each effect that was found and that others would have done the very same as."""
+    for one in naming.found:
+        if one.same:
+            at = f" in {', '.join(one.variant.mounts)}" if one.variant.mounts else ""
+            yield (
+                f"{one.variant.family}{at} and {', '.join(one.same)} do the very same in all of these readings: "
+                "which it is, none of them can tell at any size"
+            )

@@ -1,28 +1,32 @@
-"""The linear system in units of its noise, for each of a grid of ratios of setting error to reading noise.
-
-The covariance of the rows is sigma^2 (D + gamma^2 d d^T + Z Z^T): sigma the noise of a reading, D (diagonal) the
-squares of how large that of each row is beside it, gamma sigma what a setting error of typical slope adds along
-d = du/dphi in units of it, Z the stand angles (and the model's own effects) within their limits. sigma is left
-free; gamma runs over the grid.
-
-A stand angle reaches no further than its mounting, so the covariance is one of blocks, a mounting each; what
-reaches further (an effect of the model) joins the coefficients, which are fitted, with its prior. Time and
-memory grow with the number of readings and not with its square: many runs are one system.
-"""
+"""The linear system in units of its noise, over a grid of noise ratios; products of its columns."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import cached_property
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from bench.analysis.diagnosis.coupled import coupled
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.base.arrays import Floats, Ints, Mask
+
+
+def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
+    """Yield rows and columns, both ascending, between which and all others a matrix (N, k) is zero.
+
+    Every column is in one of the parts; rows of zeros are in none.
+    """
+    many, count = matrix.shape
+    row, column = np.nonzero(matrix)
+    edges = coo_array((np.ones(len(row)), (row, many + column)), shape=(many + count, many + count))
+    label = connected_components(edges, directed=False)[1]
+    for part in dict.fromkeys(label[many:].tolist()):
+        yield np.flatnonzero(label[:many] == part), np.flatnonzero(label[many:] == part)
+
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
 """Grid of gamma: what a setting error of the typical slope adds, in units of a reading's noise."""
@@ -242,3 +246,72 @@ def _as_slice(rows: Ints) -> slice | Ints:
     """Return rows that follow one another as a slice, which copies nothing."""
     first, last = int(rows[0]), int(rows[-1])
     return slice(first, last + 1) if last - first == len(rows) - 1 else rows
+
+
+class Products(Protocol):
+    """Scalar products of P columns, for each ratio of the noise sizes."""
+
+    def across(self, columns: Ints) -> Floats:
+        """Return those of some columns (k,) with all, shape (ratios, k, P)."""
+
+    def across_at(self, ratio: int, columns: Ints) -> Floats:
+        """Return the same for one ratio, shape (k, P)."""
+
+    def among(self, columns: Ints) -> Floats:
+        """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
+
+    def at(self, ratio: int) -> Products:
+        """Return those of one ratio alone."""
+
+
+@dataclass(frozen=True)
+class OfColumns:
+    """From the columns `white` (ratios, N, P), which are fewer numbers where there are fewer rows than columns."""
+
+    white: Floats
+
+    def across(self, columns: Ints) -> Floats:
+        """Return those of some columns (k,) with all, shape (ratios, k, P)."""
+        return np.swapaxes(self.white[:, :, columns], 1, 2) @ self.white
+
+    def across_at(self, ratio: int, columns: Ints) -> Floats:
+        """Return the same for one ratio, shape (k, P)."""
+        return np.asarray(self.white[ratio][:, columns].T @ self.white[ratio])
+
+    def among(self, columns: Ints) -> Floats:
+        """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        if columns.shape[-1] == 1:
+            return np.asarray(self._square[:, columns[..., 0], None, None])
+        chosen = np.moveaxis(self.white[:, :, columns], 1, -2)
+        return np.asarray(np.swapaxes(chosen, -1, -2) @ chosen)
+
+    @cached_property
+    def _square(self) -> Floats:
+        return np.asarray(np.einsum("gnp,gnp->gp", self.white, self.white))
+
+    def at(self, ratio: int) -> OfColumns:
+        """Return those of one ratio alone."""
+        return OfColumns(self.white[ratio : ratio + 1])
+
+
+@dataclass(frozen=True)
+class OfGram:
+    """From the Gram matrix (ratios, P, P), which is fewer numbers where there are more rows than columns."""
+
+    gram: Floats
+
+    def across(self, columns: Ints) -> Floats:
+        """Return those of some columns (k,) with all, shape (ratios, k, P)."""
+        return np.asarray(self.gram[:, columns])
+
+    def across_at(self, ratio: int, columns: Ints) -> Floats:
+        """Return the same for one ratio, shape (k, P)."""
+        return np.asarray(self.gram[ratio][columns])
+
+    def among(self, columns: Ints) -> Floats:
+        """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
+
+    def at(self, ratio: int) -> OfGram:
+        """Return those of one ratio alone."""
+        return OfGram(self.gram[ratio : ratio + 1])

@@ -10,20 +10,22 @@ import numpy as np
 
 from bench.analysis.diagnosis.candidates import Candidates, Column, make_candidates
 from bench.analysis.diagnosis.evidence import Data, Whitened
-from bench.analysis.diagnosis.joint import make_system
 from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.looked import Looked, noise_as_it_is
+from bench.analysis.diagnosis.multi_run_system import candidates_of, make_system
 from bench.analysis.diagnosis.naming import Found, Naming, Scored, name
 from bench.analysis.diagnosis.noise_grid import NoiseGrid
-from bench.analysis.diagnosis.noise_of_runs import with_sizes_of_runs
 from bench.analysis.diagnosis.posterior import noise_size, posterior
-from bench.analysis.diagnosis.repeats import noise_of_repeats
-from bench.analysis.diagnosis.rounding import grid_with_rounding, with_rounding
-from bench.analysis.diagnosis.runs import candidates_of
+from bench.analysis.diagnosis.repeats import (
+    grid_with_rounding,
+    noise_of_repeats,
+    with_rounding,
+    with_sizes_of_runs,
+)
+from bench.analysis.diagnosis.single_run_search import Looked, noise_as_it_is
 from bench.analysis.diagnosis.threshold import Threshold, ThresholdCache
 from bench.analysis.diagnosis.weighing import WeighedDown
 from bench.base.arrays import Floats, Mask
-from bench.base.progress import tracked
+from bench.base.computing import tracked
 from bench.model import ForwardModel
 from bench.readings.table import Readings
 

@@ -1,19 +1,22 @@
-"""Coefficients and effects together, once it is settled which effects the model has; and what they predict."""
+"""Coefficients and effects together once the effects are settled; what they predict."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
+from scipy import special
 
-from bench.analysis.diagnosis.candidates import Candidates
+from bench.analysis.diagnosis.candidates import Candidates, Column, Variant
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
-from bench.base.arrays import Floats, Mask
+from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.model.effects import CATALOGUE, AppliedEffect
 
 AVERAGED: Final = 5
 """Parts over whose sizes is averaged: of one run no more are found, of many the least sure count."""
@@ -213,3 +216,116 @@ def predicted_error(
     white = whiten_rows(linear, noise, np.column_stack([design, error]), rows)
     spread = np.eye(len(error)) + white[:, :-1] @ fitted.covariance @ white[:, :-1].T
     return error, float(white[:, -1] @ np.linalg.solve(spread, white[:, -1]))
+
+
+ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
+"""Effects that add to the signals whatever the acceleration is."""
+EQUAL: Final = 0.05
+"""Probability above which three sizes in volts count as equal,"""
+SEEN: Final = 4.0
+"""where each is so many standard uncertainties large: three that are hardly there are always equal."""
+
+
+def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
+    """Yield a sentence for each effect of the three accelerometers that is the same in volts in all of them."""
+    # one prior size of each channel's column is the same part of its K_ii
+    scale = np.diag(linear.block.K)
+    apart = np.diff(np.eye(3), axis=0)
+    for found, mine in naming.parts():
+        variant = found.variant
+        if variant.family not in ADDED or len(variant.columns) != 3 or len(variant.channels) != 3:
+            continue
+        volts = fitted.amplitudes[mine] * scale
+        covariance = fitted.amplitude_covariance[mine, mine] * np.outer(scale, scale)
+        between = apart @ volts
+        chi2 = float(between @ np.linalg.solve(apart @ covariance @ apart.T, between))
+        seen = np.all(np.abs(volts) > SEEN * np.sqrt(np.diag(covariance)))
+        if seen and special.chdtrc(2, chi2) > EQUAL:
+            yield (
+                f"{variant.family} is the same voltage in all three channels within its u: that points at what "
+                "they share (the voltmeters' zero, the supply, the wiring), not at three accelerometers; a shorted "
+                "input in each pass tells"
+            )
+
+
+FAR_BETTER: Final = 0.25
+"""A sum or difference is stated when its u is no more than this part of that of either value."""
+
+
+@dataclass(frozen=True)
+class KnownTogether:
+    """The sum or difference of a parameter `of` two channels or mountings, with u, in the catalogue's unit."""
+
+    parameter: str
+    combination: Literal["sum", "difference"]
+    of: tuple[str, str]
+    value: float
+    u: float
+    unit: str
+
+
+def known_together(
+    candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
+) -> tuple[KnownTogether, ...]:
+    """Return the sums and differences of two values of a parameter that are far better known than either.
+
+    `value` (m,) and `covariance` (m, m) are in plausible sizes, as the variant's columns. So the third mounting
+    angle of both installations: verification points tell the sum, nothing tells the difference, which is a turn
+    of the block's axes.
+    """
+    return tuple(_pairs(candidates, variant, value, covariance))
+
+
+def _pairs(
+    candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
+) -> Iterator[KnownTogether]:
+    kinds = [candidates.kinds[column] for column in variant.columns]
+    parameters = {parameter.name: parameter for parameter in CATALOGUE[variant.family].parameters}
+    for i, j in itertools.combinations(range(len(kinds)), 2):
+        if kinds[i].parameter != kinds[j].parameter:
+            continue
+        sign = -1.0 if covariance[i, j] > 0.0 else 1.0
+        u = np.sqrt(max(covariance[i, i] + covariance[j, j] + 2.0 * sign * covariance[i, j], 0.0))
+        if u > FAR_BETTER * np.sqrt(min(covariance[i, i], covariance[j, j])):
+            continue
+        parameter = parameters[kinds[i].parameter]
+        size = candidates.scale[variant.columns[i]] / parameter.si_per_unit
+        yield KnownTogether(
+            parameter.name,
+            "sum" if sign > 0 else "difference",
+            (_place(kinds[i]), _place(kinds[j])),
+            float((value[i] + sign * value[j]) * size),
+            float(u * size),
+            parameter.unit,
+        )
+
+
+def _place(kind: Column) -> str:
+    """Return what a column is of: "z", "installation 1", "z in installation 1"."""
+    channel = "" if kind.channel is None else CHANNELS[kind.channel]
+    mounts = f"installation {'+'.join(kind.mounts)}" if kind.mounts else ""
+    return " in ".join(filter(None, (channel, mounts)))
+
+
+def applied_of(
+    candidates: Candidates, variant: Variant, value: Floats, u: Floats
+) -> tuple[AppliedEffect, ...]:
+    """Return an effect with estimated values in SI, once for each set of mountings with its own values.
+
+    `value` (m,) and `u` (m,) are in plausible sizes, as the variant's columns.
+    """
+    channels = tuple(CHANNELS[c] for c in variant.channels)
+    kinds = [candidates.kinds[column] for column in variant.columns]
+    applied = []
+    for mounts in dict.fromkeys(kind.mounts for kind in kinds):
+        values: dict[str, Floats] = {name: np.asarray(size) for name, size in variant.shape}
+        sizes: dict[str, Floats] = {}
+        for place, (column, kind) in enumerate(zip(variant.columns, kinds, strict=True)):
+            if kind.mounts != mounts:
+                continue
+            at = () if kind.channel is None else kind.channel
+            for numbers, number in ((values, value[place]), (sizes, u[place])):
+                numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
+                numbers[kind.parameter][at] = number * candidates.scale[column]
+        applied.append(AppliedEffect(CATALOGUE[variant.family], values, channels, sizes, mounts))
+    return tuple(applied)

@@ -1,15 +1,18 @@
-"""The size of the noise from repeats alone: what no model of the bench, right or wrong, could explain."""
+"""Noise from repeats alone: of one run, of several, and of readings that are rounded alike."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
-from bench.analysis.diagnosis.linear import LinearSystem
+from bench.analysis.diagnosis.linear import LinearSystem, RunSizes
+from bench.analysis.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.base.arrays import Floats, Ints, Mask
+from bench.readings.table import Readings
 
 LEAST_FREEDOM: Final = 6
 """Settings beyond the saturated description below which repeats tell too little."""
@@ -152,3 +155,106 @@ def _beyond(columns: Floats) -> Floats:
     """Return an orthonormal basis (n, k) of what the columns (n, p) do not reach."""
     u, size, _ = np.linalg.svd(columns)
     return np.asarray(u[:, np.count_nonzero(size > 1e-9 * size[0]) :])
+
+
+HARDLY_ANY: Final = 0.1
+"""A part of the noise so small that it may be left out."""
+TERMS: Final = 30
+
+
+def digit_of(readings: Readings) -> float:
+    """Return the step of the signals' last digit, unit of the signal: 2e-5 where all are even at 1e-5; 0: none."""
+    resolution = readings.resolution
+    if not resolution > 0.0 or readings.resolution_read is not None:
+        return resolution
+    steps = np.round(readings.signal / resolution).astype(np.int64)
+    return resolution * max(int(np.gcd.reduce(steps.ravel())), 1)
+
+
+def is_coarse(digit: float, sigma: float) -> bool:
+    """Whether the last digit is coarser than the noise `sigma`, rounding included."""
+    return digit > sigma
+
+
+def is_rounded(digit: float, sigma: float) -> bool:
+    """Whether rounding repeats itself: the noise is then believed to be `sigma`, that of the digit at least."""
+    return repeated(digit, sigma) > HARDLY_ANY * sigma
+
+
+def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
+    """Return the system in which readings of a setting share an error of rounding, where that is not negligible.
+
+    `sigma` is the noise as the repeats give it, never less than that of rounding.
+    """
+    if not is_rounded(digit, sigma):
+        return linear
+    size = repeated(digit, sigma)
+    oriented = np.flatnonzero(linear.setting >= 0)
+    key = 3 * np.repeat(cells_of(linear), 3) + linear.rows.channel[oriented]
+    columns = np.zeros((len(linear), int(key.max()) + 1))
+    columns[oriented, key] = size
+    return linear.with_noise(columns)
+
+
+def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
+    """Return the maps of `make_noise_grid`; the noise is believed where rounding repeats itself."""
+    return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
+
+
+def repeated(digit: float, sigma: float) -> float:
+    """Return the standard deviation of the error of rounding that repeats, unit of the signal."""
+    if not digit > 0.0:
+        return 0.0
+    s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)
+    k2 = np.arange(1, TERMS + 1) ** 2
+    return float(digit * np.sqrt(np.sum(np.exp(-4 * np.pi**2 * k2 * s2) / (2 * np.pi**2 * k2))))
+
+
+UNEQUAL_P: Final = 0.01
+"""Runs have sizes of their own where chance alone makes them so different less often than this."""
+
+
+def with_sizes_of_runs(linear: LinearSystem, least: float) -> LinearSystem:
+    """Return the system in which each run has noise of its own size, where the runs are not alike.
+
+    `least` is the least noise that is believed, unit of the signal: below it digits tell, not runs. Where a run has
+    too few repeats to tell its noise all count as alike.
+    """
+    by_run = _by_run(linear, least)
+    return linear if by_run is None else replace(linear, by_run=by_run)
+
+
+def _by_run(linear: LinearSystem, least: float) -> RunSizes | None:
+    readings = linear.readings
+    numbers = np.unique(readings.run)
+    if len(numbers) < 2:
+        return None
+    found: list[Likeliest] = []
+    for number in numbers:
+        parts = parts_of_repeats(linear, readings.run == number)
+        if parts.freedom < LEAST_FREEDOM:
+            return None
+        found.append(likeliest(parts))
+    freedom = np.array([one.freedom for one in found])
+    variance = np.maximum([one.sigma**2 for one in found], least**2)
+    if p_alike(variance, freedom, _kurtosis(found)) >= UNEQUAL_P:
+        return None
+    rows = np.bincount(readings.run[linear.rows.reading], minlength=len(numbers))
+    return RunSizes(np.sqrt(variance / np.average(variance, weights=rows)), freedom)
+
+
+def p_alike(variance: Floats, freedom: Floats, kurtosis: float) -> float:
+    """Return the probability of variances (runs,) so different where all are alike, each of so many degrees.
+
+    `kurtosis` is the excess of what they are of.
+    """
+    runs, whole = len(variance), float(freedom.sum())
+    apart = whole * np.log(np.average(variance, weights=freedom)) - float(freedom @ np.log(variance))
+    apart /= 1.0 + (float(np.sum(1.0 / freedom)) - 1.0 / whole) / (3.0 * (runs - 1))
+    return float(special.chdtrc(runs - 1, max(float(apart), 0.0) / (1.0 + max(kurtosis, 0.0) / 2.0)))
+
+
+def _kurtosis(found: list[Likeliest]) -> float:
+    """Return the excess kurtosis of what the repeats leave, each run in units of its own noise."""
+    squares = np.concatenate([one.scaled for one in found])
+    return float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)

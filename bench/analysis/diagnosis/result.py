@@ -1,28 +1,118 @@
-"""What is found out about one body of readings."""
+"""What is found out about one body of readings; what was settled before they were scored."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from bench.analysis.diagnosis.candidates import Candidates
+import numpy as np
+
+from bench.analysis.diagnosis import (
+    candidates,
+    evidence,
+    gap,
+    naming,
+    noise_grid,
+    residual_model,
+    residual_search,
+    threshold,
+    visibility,
+    where,
+)
+from bench.analysis.diagnosis.candidates import Candidates, in_volts
 from bench.analysis.diagnosis.evidence import Data, Whitened
-from bench.analysis.diagnosis.form.describe import FreeForm
-from bench.analysis.diagnosis.gap import Gap
-from bench.analysis.diagnosis.known_together import KnownTogether
+from bench.analysis.diagnosis.gap import Gap, folds_of, thirds_of
 from bench.analysis.diagnosis.linear import LinearSystem
 from bench.analysis.diagnosis.naming import Naming
-from bench.analysis.diagnosis.noise_findings import NoiseFinding
-from bench.analysis.diagnosis.noise_kinds import NoiseKind
-from bench.analysis.diagnosis.posterior import NoiseSize, Posterior
-from bench.analysis.diagnosis.registration import Registration
+from bench.analysis.diagnosis.noise_kinds import NoiseFinding, NoiseKind
+from bench.analysis.diagnosis.posterior import KnownTogether, NoiseSize, Posterior
+from bench.analysis.diagnosis.residual_model import FreeForm
 from bench.analysis.diagnosis.visibility import Smallest
 from bench.analysis.diagnosis.weighing import WeighedDown
 from bench.analysis.diagnosis.where import Place
 from bench.analysis.mistakes.search import Mistake, MistakeSearch
 from bench.base.arrays import CHANNELS, Floats
-from bench.model import CATALOGUE, AppliedEffect
+from bench.model.conditions import REFERENCE_C, REMOUNT_S, SETTING_S
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect
+from bench.model.effects.expression import names_in
+from bench.model.effects.formula import FormulaEffect
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What was settled; `sha256` is of all of it, the catalogue and the weights of the sizes.
+
+    Priors, threshold, limits of a tie, what is held out (`held_out_else` where that measures nothing), and by how
+    much the gap must shrink on it.
+    """
+
+    sha256: str
+    unnamed: tuple[str, ...]
+    sizes: tuple[float, ...]
+    noise_ratios: tuple[float, ...]
+    noise_ratio_spread: float
+    threshold: float
+    false_alarms: float
+    tie_leak: float
+    tie_evidence: float
+    tie_absurd: float
+    tie_least_explained: float
+    pair_margin: float
+    most_effects: int
+    hidden_beyond: float
+    significance_where: float
+    gap_least_fall: float
+    gap_least_closed: float
+    gap_by_chance: float
+    held_out: tuple[str, ...]
+    held_out_else: tuple[str, ...]
+
+
+def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
+    """Return what is settled for these readings, with its hash."""
+    settled = Registration(
+        sha256="",
+        unnamed=candidates.UNNAMED,
+        sizes=evidence.SIZES,
+        noise_ratios=noise_grid.RATIOS,
+        noise_ratio_spread=noise_grid.RATIO_SPREAD,
+        threshold=round(limit.value, 9),
+        false_alarms=limit.probability,
+        tie_leak=naming.LEAK,
+        tie_evidence=naming.LESS_PLAUSIBLE,
+        tie_absurd=naming.ABSURD,
+        tie_least_explained=naming.LEAST_EXPLAINED,
+        pair_margin=naming.PAIR_MARGIN,
+        most_effects=naming.MOST_EFFECTS,
+        hidden_beyond=visibility.BEYOND_BELIEF,
+        significance_where=where.SIGNIFICANT,
+        gap_least_fall=gap.LEAST_FALL,
+        gap_least_closed=gap.LEAST_CLOSED,
+        gap_by_chance=gap.BY_CHANCE,
+        held_out=tuple(label for label, _ in folds_of(linear)),
+        held_out_else=tuple(label for label, _ in thirds_of(linear)),
+    )
+    hashed = asdict(settled) | {
+        "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
+        "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
+    }
+    if limit.slip is not None:
+        hashed["slip"] = [threshold.OF_SLIPS, round(limit.slip.value, 9)]
+    if threshold.formulas():
+        hashed["formulas"] = threshold.formulas()
+    hashed["form"] = [
+        residual_search.MOST_TERMS,
+        residual_model.LEAST_CLOSED,
+        residual_model.SIGNIFICANT,
+        residual_model.LARGER,
+    ]
+    del hashed["sha256"]
+    text = json.dumps(hashed, sort_keys=True)
+    return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())
+
 
 Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
 
@@ -228,3 +318,37 @@ def mistake_to_dict(mistake: Mistake) -> dict[str, Any]:
         "p_all_looks": mistake.p,
         "words": mistake.words,
     }
+
+
+OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
+
+
+def at_reference(found: Iterable[Effect]) -> Iterator[str]:
+    """Yield at which temperature the coefficients are those that are told, where effects of it are beside them."""
+    names = [effect.name for effect in found if _of_temperature(effect)]
+    if names:
+        yield f"the coefficients are those at {REFERENCE_C:g} °C, from which {' and '.join(names)} counts"
+
+
+def _of_temperature(effect: Effect) -> bool:
+    return effect.name in OF_TEMPERATURE or (
+        isinstance(effect, FormulaEffect) and "temperature" in names_in(effect.expression)
+    )
+
+
+def assumed(linear: LinearSystem) -> Iterator[str]:
+    """Yield sentences on what the readings do not say, or say otherwise than the bench file."""
+    readings = linear.readings
+    yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
+    if linear.orientation is not None and linear.orientation.contradicts:
+        yield linear.orientation.in_words()
+    if not np.isfinite(readings.time_s).any():
+        yield (
+            f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "
+            "are taken, and every rate and time constant rests on that"
+        )
+    if not np.isfinite(readings.temperature_c).any():
+        yield f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be looked for"
+    if readings.unit != "V":
+        names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
+        yield f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"

@@ -1,4 +1,4 @@
-"""Is it the bench or the block? Sizes and effects of units and benches for all twelve coefficients."""
+"""Bench or block: effects of units and benches in all twelve coefficients."""
 
 from __future__ import annotations
 
@@ -9,21 +9,61 @@ import numpy as np
 from scipy import special
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.intercomparison.allotment import Allotment, allotment
 from bench.analysis.intercomparison.crossed import (
     BENCH,
     EXCESS,
     UNIT,
     Crossed,
     Crossing,
+    about_sets,
     fit,
     most,
+    scales_of,
+    solve,
 )
 from bench.analysis.intercomparison.measured import Measured, coded
 from bench.base.arrays import Floats, Ints, Labels, rms, u_of
-from bench.base.looks import holm
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS
+from bench.stats.multiple_testing import holm
+
+FLAT: Final = 1e3
+"""A size so many times the scatter is as good as none stated."""
+
+
+@dataclass(frozen=True)
+class Allotment:
+    """Whether units came to benches by chance: `chi2` with `dof`, of differences between benches by two ways.
+
+    The first takes differences within units alone, the second the means of all units too; a bench that is given
+    units of another kind is off in the second only. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
+    """
+
+    chi2: float
+    dof: int
+
+    @property
+    def p(self) -> float:
+        """The probability of so much where units came by chance."""
+        return float(special.chdtrc(self.dof, self.chi2)) if self.dof else 1.0
+
+
+def allotment(found: Crossed) -> Allotment:
+    """Hold the differences between benches within units against those that means of units give as well."""
+    at = found.at
+    crossing = at.crossing
+    wide = found.sizes.copy()
+    wide[BENCH] = FLAT * scales_of(crossing, found.y, found.variance)[BENCH]
+    both = solve(crossing, found.y, found.variance, wide)
+    wide[UNIT] = np.inf
+    within = solve(crossing, found.y, found.variance, wide)
+    about = about_sets(crossing)
+    gap = about @ (within.bench - both.bench)
+    more = about @ (within.bench_covariance - both.bench_covariance) @ about.T
+    size, along = np.linalg.eigh(more)
+    told = size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)
+    return Allotment(float(np.sum((along.T[told] @ gap) ** 2 / size[told])), int(told.sum()))
+
 
 SHOWN_P: Final = 0.05
 """Something is shown when chance makes as much, in any of the looks, less often than this."""

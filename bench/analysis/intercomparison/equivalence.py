@@ -1,13 +1,4 @@
-"""Benches against one another on common units: reference value, degrees of equivalence, E_n.
-
-Units are the travelling standards, benches the participants. value = value of the unit + error of the calibration,
-with the covariance of all values. The reference value of a unit is its weighted mean; where values and stated
-uncertainties do not agree (chi-square, 5 %) each bench has an error of its own more, of one dark size, by Mandel
-and Paule. With one unit and one value from each bench it is procedure A of Cox and the means of the literature.
-Sources: M. G. Cox, Metrologia 39 (2002) 589 (procedure A, degrees of equivalence); R. C. Paule, J. Mandel,
-J. Res. Natl. Bur. Stand. 87 (1982) 377; R. DerSimonian, N. Laird, Control. Clin. Trials 7 (1986) 177; R. T. Birge,
-Phys. Rev. 40 (1932) 207; A. Koepke et al., Metrologia 54 (2017) S34; ISO 13528:2022, 9.7 (E_n).
-"""
+"""Degrees of equivalence of benches, one coefficient at a time and all twelve together."""
 
 from __future__ import annotations
 
@@ -23,6 +14,7 @@ from bench.analysis.calibration.conformity import COVERAGE_FACTOR
 from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Ints, u_of
 from bench.base.numbers import finite_or_none
+from bench.stats.multiple_testing import holm
 
 CONSISTENT_P: Final = 0.05
 """Values agree with their stated uncertainties where chance gives as much disagreement at least this often."""
@@ -246,3 +238,47 @@ def of_one_unit(x: Sequence[float] | Floats, u: Sequence[float] | Floats) -> Par
     values = np.asarray(x, dtype=float)
     variance = np.diag(np.square(np.asarray(u, dtype=float)))
     return Participants(values, variance, np.zeros(len(values), dtype=np.int64), np.arange(len(values)))
+
+
+APART_P: Final = 0.05
+"""Benches are apart where chance gives any so large a difference less often than this."""
+
+
+@dataclass(frozen=True)
+class Together:
+    """A vector of differences: `chi2` with `dof`; `p` of it alone, and of the largest of all looked at."""
+
+    chi2: float
+    dof: int
+    p: float
+    p_all_looks: float
+
+    @property
+    def apart(self) -> bool:
+        """Whether the benches differ beyond chance."""
+        return self.p_all_looks < APART_P
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "chi2": self.chi2, "dof": self.dof, "p": self.p, "p_all_looks": self.p_all_looks, "apart": self.apart
+        }  # fmt: skip
+
+
+def together(differences: Floats, u: Floats, errors: Floats, of_errors: Floats) -> tuple[Together, ...]:
+    """Judge m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
+
+    `errors` (m, 12, 12) are covariances of the errors of calibrations, which tell how coefficients are correlated;
+    `of_errors` (m, 12) is the part of u that they make. What u has beyond, such as a dark size, belongs to each
+    coefficient alone.
+    """
+    chi2 = []
+    for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):
+        scale = u_of(covariance)
+        scaled = covariance / np.outer(scale, scale) * np.outer(own, own)
+        scaled[np.diag_indices(len(d))] += np.maximum(whole**2 - own**2, 0.0)
+        chi2.append(float(d / whole @ np.linalg.solve(scaled / np.outer(whole, whole), d / whole)))
+    dof = differences.shape[1]
+    p = np.asarray(special.chdtrc(dof, np.array(chi2)), dtype=np.float64)
+    rows: Sequence[tuple[float, float, float]] = list(zip(chi2, p.tolist(), holm(p).tolist(), strict=True))
+    return tuple(Together(one, dof, alone, looks) for one, alone, looks in rows)

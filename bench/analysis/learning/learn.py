@@ -10,10 +10,8 @@ import numpy as np
 
 from bench.analysis.calibration.known import KnownStand
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.learning.body import SEEN, Body, Layout, RunFit, body_of, pooled_noise
-from bench.analysis.learning.contradictions import agreed
-from bench.analysis.learning.likelihood import Beliefs, Shared, at, fitted, maximise
-from bench.analysis.learning.noise import known_noise
+from bench.analysis.learning.body import SEEN, Body, Layout, RunFit, body_of, known_noise, pooled_noise
+from bench.analysis.learning.likelihood import Beliefs, Shared, agreed, at, fitted, maximise
 from bench.analysis.learning.result import Learned, Variance
 from bench.base.arrays import CHANNELS, Floats
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from bench.analysis.budget.acceleration import delta_g
 from bench.analysis.budget.coefficients import Budget, make_budget
-from bench.analysis.budget.error_source import ErrorSource
-from bench.analysis.budget.learned import learned_sources
+from bench.analysis.budget.error_source import ErrorSource, learned_sources
 from bench.analysis.budget.setup import Setup
 from bench.analysis.budget.sources import effect_sources, stand_source
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
@@ -19,8 +18,7 @@ from bench.analysis.calibration.estimators import GLS
 from bench.analysis.calibration.known import KnownStand
 from bench.analysis.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
 from bench.analysis.calibration.result import CalibrationError, Noise
-from bench.analysis.planning.exchange import widening
-from bench.analysis.planning.goals import Goal
+from bench.analysis.planning.optimal_design import Goal, widening
 from bench.analysis.planning.settings import Setting, conditions_of
 from bench.base.arrays import Floats
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel

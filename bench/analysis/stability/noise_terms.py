@@ -1,20 +1,124 @@
-"""The noise terms behind an Allan deviation: a sum of powers of the averaging time, fitted with uncertainty.
-
-sigma^2(tau) = 3 Q^2/tau^2 + N^2/tau + (2 ln 2/pi) B^2 + K^2 tau/3 + R^2 tau^2/2: quantisation, white noise
-(velocity random walk), bias instability, rate random walk (of the acceleration), drift. Source: IEEE Std 952-1997,
-annex C, and IEEE Std 1293-2018 for accelerometers.
-"""
+"""Allan deviation, the noise terms behind it, and how long a reading should average."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from scipy import optimize, special
 
-from bench.analysis.stability.allan import AllanCurve
+from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats, Ints, Mask, u_of
+
+LONGEST_PART: Final = 4
+"""Averaging times go up to the record's length over this: beyond, one or two values decide."""
+CONFIDENCE: Final = 0.95
+LAGS: Final = 100
+"""Greenhall and Riley's J_max: the correlations of more windows than this are not summed one by one."""
+LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079, 0.368)}
+"""Greenhall and Riley's table 2 for second differences: a0, a1 of 1/edf = (a0 - a1/r)/r by power of frequency."""
+
+
+@dataclass(frozen=True)
+class AllanCurve:
+    """Allan deviation `deviation` (k,) at `tau_s` (k,), averages of `multiples` (k,) samples of `samples`."""
+
+    tau_s: Floats
+    deviation: Floats
+    multiples: Ints
+    samples: int
+
+    def freedom(self, alpha: Floats) -> Floats:
+        """Equivalent degrees of freedom (k,), 1 at least, where the noise's spectrum goes as f^alpha.
+
+        alpha (k,) is 2 (quantisation), 0 (white), -1 (flicker) or -2 (random walk); `KeyError` for another.
+        """
+        rows = zip(self.multiples.tolist(), np.asarray(alpha).tolist(), strict=True)
+        return np.array([max(_freedom(int(a), m, self.samples), 1.0) for m, a in rows], dtype=np.float64)
+
+    def limits(self, freedom: Floats) -> tuple[Floats, Floats]:
+        """Return lower and upper limit (k,) of the deviation at 95 % (chi-square with these degrees)."""
+        tail = (1.0 - CONFIDENCE) / 2.0
+        low = self.deviation * np.sqrt(freedom / special.chdtri(freedom, tail))
+        high = self.deviation * np.sqrt(freedom / special.chdtri(freedom, 1.0 - tail))
+        return np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+
+
+def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | None = None) -> AllanCurve:
+    """Return the overlapping Allan deviation of samples (n,), one every `interval_s`.
+
+    At averages of 1, 2, 4, … samples up to a quarter of the record, or of `multiples`, in order, as far as the
+    record has two differences of such averages. Raises `CalibrationError` when it has of none, when the signal
+    never changes, and when a sample is not a number.
+    """
+    if not np.all(np.isfinite(signal)):
+        raise CalibrationError("a sample is not a number; an Allan deviation needs a record without holes")
+    if np.ptp(signal) == 0.0:
+        raise CalibrationError(
+            "a signal is the same in every sample; check its cable, and that the record has enough digits"
+        )
+    most = len(signal) // LONGEST_PART
+    asked = 2 ** np.arange(int(np.log2(most)) + 1) if multiples is None else np.unique(multiples)
+    found = asked[(asked > 0) & (2 * asked < len(signal))].astype(np.int64)
+    if not len(found):
+        raise CalibrationError(f"{len(signal)} samples are too few for two differences of such averages")
+    # sums of what is left beside the mean: those of a large mean would swallow the noise's last digits
+    sums = np.concatenate([[0.0], np.cumsum(signal - signal.mean())])
+    deviation = [_deviation(sums, m) for m in found.tolist()]
+    tau_s = found.astype(np.float64) * interval_s
+    return AllanCurve(tau_s, np.array(deviation, dtype=np.float64), found, len(signal))
+
+
+def _deviation(sums: Floats, m: int) -> float:
+    """Overlapping Allan deviation at m samples of a signal's running sums (n + 1,): SP 1065, eq. 11."""
+    second = sums[2 * m :] - 2.0 * sums[m:-m] + sums[: -2 * m]
+    return float(np.sqrt(np.mean(second**2) / 2.0) / m)
+
+
+def _freedom(alpha: int, m: int, samples: int) -> float:
+    """Degrees of freedom at m samples: Greenhall and Riley's cases 2 and 4, for d = 2, F = S = m."""
+    windows = samples + 1 - 2 * m
+    r = windows / m
+    if alpha == 2:  # windows of white phase noise are alike one and two averages apart only
+        one, two = max(1.0 - 1.0 / r, 0.0), max(1.0 - 2.0 / r, 0.0)
+        return windows / (1.0 + 2.0 * (16.0 * one + two) / 36.0)
+    a0, a1 = LONG_RECORD[alpha]
+    lags = min(windows, 3 * m)
+    if lags <= LAGS:
+        return _summed(alpha, lags, windows, m, m if 3 * m <= LAGS else np.inf)
+    return r / (a0 - a1 / r) if r > 3.0 else _summed(alpha, LAGS, LAGS, LAGS / r, np.inf)
+
+
+def _summed(alpha: int, lags: int, windows: int, stride: float, width: float) -> float:
+    """Degrees of freedom from the correlations of windows 0 … lags strides apart: their eq. 10."""
+    j = np.arange(lags + 1)
+    alike = _covariance(j / stride, alpha, width)
+    weight = 2.0 * (1.0 - j / windows)
+    weight[[0, -1]] /= 2.0
+    return windows / float(weight @ (alike / alike[0]) ** 2)
+
+
+def _covariance(t: Floats, alpha: int, width: float) -> Floats:
+    """Covariance, but for a factor, of second differences t (…) averages apart: their eq. 7 to 9.
+
+    Of averages of `width` samples each, or of a signal without steps where it is infinite.
+    """
+    apart = np.asarray(t)[..., None] + np.arange(-2.0, 3.0)
+    if np.isinf(width):
+        averaged = _kernel(apart, alpha + 2)
+    else:
+        near = apart[..., None] + np.array([-1.0, 0.0, 1.0]) / width
+        averaged = _kernel(near, alpha) @ np.array([1.0, -2.0, 1.0])
+    return np.asarray(averaged @ np.array([1.0, -4.0, 6.0, -4.0, 1.0]), dtype=np.float64)
+
+
+def _kernel(t: Floats, alpha: int) -> Floats:
+    """Covariance, but for its sign, of phase t (…) apart: |t|^(3 - alpha), times ln |t| where that is even."""
+    size = np.abs(t)
+    power = size ** (3 - alpha)
+    return np.asarray(power if alpha % 2 == 0 else special.xlogy(power, size), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -172,3 +276,87 @@ def _spread(predicted: Floats, freedom: Floats, kind: Ints) -> Floats:
     correlation = np.exp(-np.abs(steps[:, None] - steps[None, :]))
     size = predicted * np.sqrt(2.0 / freedom)
     return np.asarray(correlation * np.outer(size, size), dtype=np.float64)
+
+
+FLAT: Final = -0.25
+"""Slope of the logarithms at which the deviation counts as flat: half of that of white noise."""
+LEAST_SAMPLES: Final = 10
+"""A reading has so many samples at least, so that their scatter tells of the noise."""
+REJECTS_LINE: Final = 1.0
+"""Integration times of whole power-line cycles reject the line; shorter ones do not."""
+
+
+@dataclass(frozen=True)
+class Averaging:
+    """The averaging time that a signal deserves, s, what is left of the noise then, and why this time.
+
+    `reached` is false where a size was asked for that no averaging time of the record reaches.
+    """
+
+    tau_s: float
+    deviation: float
+    why: str
+    reached: bool = True
+
+
+@dataclass(frozen=True)
+class ReadingAdvice:
+    """Samples of a reading and power-line cycles of each; `tau_s` is the time that they average over."""
+
+    samples: int
+    nplc: float
+    tau_s: float
+
+    def line(self) -> str:
+        """Return the line of a procedure file."""
+        return f"reading: {{samples: {self.samples}, nplc: {self.nplc:g}}}"
+
+
+def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None) -> Averaging:
+    """Return the averaging time for a signal.
+
+    With `wanted`, the shortest of the curve's times at which the upper limit (95 %) of the Allan deviation is
+    no more. Else where the noise terms stop falling: the slope there is half of that of white noise, and longer
+    averages gain little; or the longest time that the curve has, where they still fall.
+    """
+    _, high = curve.limits(terms.freedom)
+    if wanted is not None:
+        enough = high <= wanted
+        if np.any(enough):
+            k = int(np.argmax(enough))
+            return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), "the size asked for")
+        k = int(np.argmin(high))
+        why = f"the size asked for is not reached; here it is least, at most {high[k]:.2g}"
+        return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), why, reached=False)
+    fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 400)
+    flat = terms.slope(fine) >= FLAT
+    if flat[0]:
+        tau, why = float(curve.tau_s[0]), "the deviation does not fall from the first sample on"
+    elif np.any(flat):
+        tau, why = float(fine[int(np.argmax(flat))]), "from here on longer averages gain little"
+    else:
+        tau, why = float(curve.tau_s[-1]), "the deviation still falls; the record is too short to show more"
+    return Averaging(tau, float(np.interp(tau, curve.tau_s, curve.deviation)), why)
+
+
+def reading_advice(
+    tau_s: float, line_frequency_hz: float, nplc: Sequence[float], most_samples: int
+) -> ReadingAdvice:
+    """Return samples and NPLC whose product averages over `tau_s` at least.
+
+    The longest integration time that leaves ten samples, of the meter's `nplc` (power-line cycles) that
+    reject the line. Raises `CalibrationError` when the meter cannot average so long in one reading.
+    """
+    cycles = tau_s * line_frequency_hz
+    usable = sorted(n for n in nplc if n >= REJECTS_LINE)
+    if not usable:
+        raise CalibrationError("the voltmeters have no integration time of a whole power-line cycle")
+    fitting = [n for n in usable if n * LEAST_SAMPLES <= cycles] or usable[:1]
+    each = fitting[-1]
+    samples = max(LEAST_SAMPLES, int(np.ceil(cycles / each - 1e-9)))
+    if samples > most_samples:
+        raise CalibrationError(
+            f"an averaging time of {tau_s:.3g} s takes {samples} samples of {each:g} power-line cycles, but a "
+            f"reading has {most_samples} at most; ask for a larger size with --size"
+        )
+    return ReadingAdvice(samples, each, samples * each / line_frequency_hz)

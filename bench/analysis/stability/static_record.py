@@ -13,8 +13,8 @@ from bench.analysis.calibration.result import CalibrationError
 from bench.base.arrays import Floats
 from bench.base.numbers import read_number
 from bench.base.visible import shortened
+from bench.readings.cells import OVERLOAD
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError, split_table
-from bench.readings.numbers import OVERLOAD
 from bench.readings.table import UNITS
 
 LEAST_SAMPLES: Final = 32

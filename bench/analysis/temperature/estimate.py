@@ -11,15 +11,22 @@ from scipy import special
 
 from bench.analysis.calibration.assumptions import require_rank
 from bench.analysis.calibration.calibrate import usable_rows
+from bench.analysis.calibration.components import note_on_prior
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.gls import noise_floor
 from bench.analysis.calibration.noise import require_told
-from bench.analysis.calibration.noise_notes import note_on_prior
 from bench.analysis.calibration.result import CalibrationError, LackOfFit
-from bench.analysis.temperature.fit import ThermalFit, ThermalProblem, fit, judge, row_outputs
+from bench.analysis.temperature.fit import (
+    DegreeChoice,
+    ThermalFit,
+    ThermalProblem,
+    choose_degrees,
+    fit,
+    judge,
+    row_outputs,
+)
 from bench.analysis.temperature.model import PlateauResult, TemperatureModel, ThermalHysteresis
 from bench.analysis.temperature.plateaus import Plateau, ThermalReadings, sort_readings
-from bench.analysis.temperature.selection import DegreeChoice, choose_degrees
 from bench.base.arrays import Floats, Ints, Mask, rms, u_of
 from bench.model.forward import ForwardModel
 from bench.readings.table import Readings

@@ -1,37 +1,32 @@
-"""From the readings of a multi-point tumble to bias, scale factor, misalignments, K2, K3, K_oq of each axis.
-
-Generalised least squares on all readings, the stand's errors as random effects, as in a calibration; the nonlinear
-terms that the orientations determine are unknowns without a prior.
-"""
+"""A multi-point tumble by IEEE Std 1293: bias, scale factor, misalignments, K2, K3, with whole u."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from typing import Any, Final
 
 import numpy as np
 
+from bench.analysis.budget.coefficients import parts_of
+from bench.analysis.budget.setup import meters_of
+from bench.analysis.budget.sources import hidden_sources
+from bench.analysis.budget.whole import GRAVITY, VOLTS, Taken
 from bench.analysis.calibration import gls
 from bench.analysis.calibration.calibrate import first_guess, usable_rows
 from bench.analysis.calibration.derived import MISALIGNMENTS
 from bench.analysis.calibration.design import FIXED, Problem, make_problem
 from bench.analysis.calibration.noise import require_told
 from bench.analysis.calibration.result import CalibrationError, LackOfFit, Noise
-from bench.analysis.tumble.terms import (
-    DEFAULT,
-    HOMES,
-    LINEAR,
-    Separable,
-    columns,
-    parameter_of,
-    separable,
-)
+from bench.analysis.tumble.terms import DEFAULT, HOMES, LINEAR, Separable, columns, parameter_of, separable
 from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.base.numbers import finite_or_none
+from bench.files.bench.file import BenchFile
 from bench.model.block import COEFFICIENTS, Block
 from bench.model.conditions import Conditions
-from bench.model.effects import CATALOGUE, AppliedEffect
+from bench.model.effects import CATALOGUE
+from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES
 from bench.readings.table import Readings
@@ -315,3 +310,30 @@ def _left_out(
         }
         first += len(own)
     return moved
+
+
+NOT_IN_VOLTS: Final = (
+    "the readings are in {unit}, so the errors of this bench's meters are in no uncertainty here: u is what these "
+    "readings show"
+)
+
+
+def combine(
+    view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
+) -> TumbleView:
+    """Return the view with the combined covariance; `terms` are those asked for, of which no prior counts.
+
+    `day` is that of the readings: what a certificate states has drifted since its own. The meters' errors are in
+    volts, and so in no result of readings in another unit.
+    """
+    if view.unit != VOLTS:
+        return replace(view, notes=(*view.notes, NOT_IN_VOLTS.format(unit=view.unit)))
+    meters = meters_of([m.channels for m in bench.instruments.voltmeters])
+    taken = Taken(view.fitted, view.block, meters, view.slope)
+    covariance = view.covariance.copy()
+    for error in hidden_sources(bench, with_terms(replace(model, effects=()), terms), day):
+        if error.name != GRAVITY:
+            parts = parts_of(error, taken, view.gain)
+            covariance += parts @ parts.T
+    axes = sized(view.axes, covariance, view.covariance_readings)
+    return replace(view, axes=axes, covariance=covariance, combined=True)

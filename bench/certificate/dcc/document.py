@@ -14,8 +14,7 @@ from lxml import etree
 from bench.certificate.content import Attached, Before, Certificate, Issue
 from bench.certificate.dcc.nodes import NAMESPACES, VERSION, Node, node, plain, said
 from bench.certificate.dcc.results import measurement_results
-from bench.certificate.laboratory import Contact, Laboratory
-from bench.certificate.order import Order, UnitOrder
+from bench.certificate.laboratory import Contact, Laboratory, Order, UnitOrder
 from bench.certificate.texts import Texts
 
 _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"

@@ -10,8 +10,7 @@ import numpy as np
 
 from bench.api.coefficients import impossible
 from bench.base.arrays import Floats
-from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node
-from bench.certificate.dcc.units import read_unit
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, read_unit
 
 Dimension = tuple[tuple[str, int], ...]
 

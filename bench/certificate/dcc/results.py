@@ -23,9 +23,8 @@ from bench.certificate.content import (
     rule_said,
     stated,
 )
-from bench.certificate.dcc import units
-from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said
-from bench.certificate.dcc.units import si_unit
+from bench.certificate.dcc import nodes
+from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said, si_unit
 from bench.certificate.texts import Texts
 from bench.readings.table import Readings
 
@@ -182,7 +181,7 @@ def _per_ms2(found: Found) -> Values:
     values = own.block.vector * scale
     of_g = np.where(np.arange(12) < 9, values, 0.0) * own.gravity_u
     covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
-    per = {"V": units.VOLT_PER_MS2, "m/s^2": units.ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
+    per = {"V": nodes.VOLT_PER_MS2, "m/s^2": nodes.ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
     named = {
         one.name: si_unit(own.unit) if one.name.startswith("U0") else per for one in found.coefficients.values
     }
@@ -211,7 +210,7 @@ def _freedom(members: Sequence[Value]) -> Node | None:
     if not any(math.isfinite(one.dof) for one in members):
         return None
     finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
-    listed = real_list([dof for _, dof in finite], [units.ONE], [f"nu_{name}" for name, _ in finite])
+    listed = real_list([dof for _, dof in finite], [nodes.ONE], [f"nu_{name}" for name, _ in finite])
     return node(
         "dcc:metaData",
         node("dcc:data", node("dcc:quantity", listed)),
@@ -228,7 +227,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
     """Return Δg at the verification points with U and covariance, limit, risks, and a statement on each point."""
     points = verification.points
     coverage = [math.erf(math.sqrt(2.0))] * len(points)
-    one = [units.ONE] * len(points)
+    one = [nodes.ONE] * len(points)
     covariance: Floats = verification.covariance
     delta = real_list(
         [p.delta_g for p in points],
@@ -245,7 +244,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
     statements = " ".join(_CONFORMITY[one] for one in stated(verification)[1])
     return node(
         "dcc:list",
-        _quantity(plain("angle"), real_list([p.angle_deg for p in points], [units.DEGREE]), "angle"),
+        _quantity(plain("angle"), real_list([p.angle_deg for p in points], [nodes.DEGREE]), "angle"),
         node(
             "dcc:quantity",
             node("dcc:name", *said(texts, "delta_g")),
@@ -256,8 +255,8 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
             ),
             refType="bench_delta_g",
         ),
-        _quantity(said(texts, "limit"), real(verification.limit_g, units.ONE), "limit"),
-        *(_quantity(said(texts, key), real(p, units.ONE), key) for key, p in risks.items() if p is not None),
+        _quantity(said(texts, "limit"), real(verification.limit_g, nodes.ONE), "limit"),
+        *(_quantity(said(texts, key), real(p, nodes.ONE), key) for key, p in risks.items() if p is not None),
     )
 
 
@@ -316,13 +315,13 @@ def _table(texts: Sequence[Texts], readings: Readings) -> Node:
     """Return the readings as they were read: a list for each column."""
     unit = si_unit(readings.unit)
     columns: dict[str, tuple[Floats, str]] = {
-        "series": (readings.series.astype(float), units.ONE),
-        "pass": (readings.pass_number.astype(float), units.ONE),
-        "point": (readings.point.astype(float), units.ONE),
-        "angle": (np.asarray(np.round(np.degrees(readings.angle_rad), 12), dtype=np.float64), units.DEGREE),
-        "direction": (readings.direction.astype(float), units.ONE),
-        "time": (readings.time_s, units.SECOND),
-        "temperature": (readings.temperature_c, units.CELSIUS),
+        "series": (readings.series.astype(float), nodes.ONE),
+        "pass": (readings.pass_number.astype(float), nodes.ONE),
+        "point": (readings.point.astype(float), nodes.ONE),
+        "angle": (np.asarray(np.round(np.degrees(readings.angle_rad), 12), dtype=np.float64), nodes.DEGREE),
+        "direction": (readings.direction.astype(float), nodes.ONE),
+        "time": (readings.time_s, nodes.SECOND),
+        "temperature": (readings.temperature_c, nodes.CELSIUS),
         **{f"u{axis}": (readings.signal[:, i], unit) for i, axis in enumerate("xyz")},
     }
     labels = node("dcc:charsXMLList", " ".join(readings.installation.tolist()))

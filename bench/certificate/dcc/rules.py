@@ -1,8 +1,4 @@
-"""What every document of ours keeps to, whether the institute's schemas are at hand or not.
-
-The content of the elements that are used here (a part of DCC 3.3.0 and D-SI 2.2.1), and what no schema can say:
-lists of one length, a covariance that is one and agrees with U, statements in all languages, days in their order.
-"""
+"""What every document of ours keeps to, with and without the institute's schemas."""
 
 from __future__ import annotations
 
@@ -10,16 +6,18 @@ import base64
 import binascii
 import re
 from collections.abc import Callable, Iterator
-from typing import Final
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from lxml import etree
 
 from bench.api.coefficients import impossible
+from bench.api.errors import Refused
 from bench.base.visible import shortened
 from bench.base.words import repeated
-from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, VERSION, Node
-from bench.certificate.dcc.units import read_unit
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SI_VERSION, SIGNATURE, VERSION, Node, read_unit
 from bench.certificate.laboratory import SIMULATED_SERIES
 
 _TEXT: Final = "content+"
@@ -255,3 +253,85 @@ def _signed(root: Node) -> Iterator[str]:
 _RULES: Final[tuple[Callable[[Node], Iterator[str]], ...]] = (
     _content, _spelling, _languages, _lists, _covariances, _days, _simulation, _references, _signed,
 )  # fmt: skip
+
+
+_FILES: Final = {"dcc.xsd": VERSION, "SI_Format.xsd": SI_VERSION}
+_STAND_INS: Final = {
+    "quantitykind.xsd": (
+        "http://qudt.org/vocab/",
+        '<xs:simpleType name="quantitykind"><xs:restriction base="xs:string"/></xs:simpleType>',
+    ),
+    "xmldsig-core-schema.xsd": (
+        SIGNATURE,
+        '<xs:element name="Signature"><xs:complexType><xs:sequence><xs:any processContents="skip" '
+        'maxOccurs="unbounded"/></xs:sequence><xs:anyAttribute processContents="skip"/></xs:complexType>'
+        "</xs:element>",
+    ),
+}
+"""What the two import from elsewhere, where the folder lacks it: of it only signatures stand in a document."""
+
+
+@dataclass(frozen=True)
+class Schemas:
+    """The schemas of a folder, ready to check with; `stood_in` names the files that were not there."""
+
+    folder: Path
+    checker: etree.XMLSchema
+    stood_in: tuple[str, ...]
+
+    def mistakes(self, document: bytes) -> tuple[str, ...]:
+        """Return what the schemas find wrong with a document, a sentence each."""
+        root = etree.fromstring(document, parser())
+        if self.checker.validate(root):
+            return ()
+        log: Any = self.checker.error_log
+        return tuple(f"line {error.line}: {error.message}" for error in log)
+
+
+def read_schemas(folder: Path) -> Schemas:
+    """Read dcc.xsd, SI_Format.xsd and what they import from anywhere below a folder; nothing from a network.
+
+    Raises `Refused` where one is missing, of another version or cannot be read.
+    """
+    there = {path.name.lower(): path for path in sorted(folder.rglob("*.xsd"))}
+    for name, version in _FILES.items():
+        path = there.get(name.lower())
+        if path is None:
+            raise Refused(
+                f"--schema {folder}: there is no {name}; give the folder with the institute's schemas"
+            )
+        stated = _version(path)
+        if stated != version:
+            raise Refused(f"{path}: version {stated}, but certificates are written by {version}")
+    stood_in: list[str] = []
+
+    base: Any = etree.Resolver
+
+    class Local(base):  # type: ignore[misc]
+        def resolve(self, url: str, _public: str, context: Any) -> Any:
+            name = url.rsplit("/", 1)[-1]
+            path = there.get(name.lower())
+            if path is not None:
+                return self.resolve_filename(str(path), context)
+            space, content = _STAND_INS.get(name, ("", ""))
+            stood_in.append(name)
+            text = (
+                f'<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{space}">{content}'
+                "</xs:schema>"
+            )
+            return self.resolve_string(text, context)
+
+    reader = parser()
+    reader.resolvers.add(Local())
+    try:
+        checker = etree.XMLSchema(etree.parse(str(there["dcc.xsd"]), reader))
+    except (etree.XMLSchemaParseError, etree.XMLSyntaxError, OSError) as error:
+        raise Refused(f"--schema {folder}: cannot be used ({error})") from error
+    return Schemas(folder, checker, tuple(stood_in))
+
+
+def _version(path: Path) -> str | None:
+    try:
+        return etree.parse(str(path), parser()).getroot().get("version")
+    except (etree.XMLSyntaxError, OSError) as error:
+        raise Refused(f"{path}: cannot be read ({error})") from error

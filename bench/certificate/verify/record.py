@@ -16,7 +16,7 @@ from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
 from bench.api.errors import Refused
 from bench.api.verification import NOTHING_ASKED, Asked
-from bench.base.regular import read_regular
+from bench.base.files import read_regular
 from bench.certificate.content import Found
 from bench.certificate.gather import found_by
 from bench.certificate.register import ISSUED, LINES, Register

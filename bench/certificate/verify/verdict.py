@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.api.errors import Refused
-from bench.base.regular import read_given
+from bench.base.files import read_given
 from bench.certificate.paper.check import faults_of
 from bench.certificate.paper.page import DCC, RELATIONS
-from bench.certificate.signature.pades import SignedPdf, check_pdf
-from bench.certificate.signature.signatory import certificates_in, fingerprint_of, name_of
-from bench.certificate.signature.trust import why_not_trusted
+from bench.certificate.signature.signatory import certificates_in, fingerprint_of, name_of, why_not_trusted
 from bench.certificate.signature.xades import (
     NoCertificate,
     NotIntact,
+    SignedPdf,
     SignedXml,
     Unsigned,
+    check_pdf,
     check_xml,
     unsigned_content,
 )

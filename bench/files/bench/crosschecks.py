@@ -9,15 +9,14 @@ import numpy as np
 from pydantic import ValidationError
 
 from bench.base.arrays import CHANNELS
-from bench.base.form_mistakes import Place, unknown_word
 from bench.base.forms import part
 from bench.base.units import SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
-from bench.devices.device import Role
+from bench.base.yaml_text import Place, unknown_word
+from bench.devices.device import Role, bus_place
 from bench.devices.registry import devices
 from bench.devices.voltmeters import CERTIFICATE, VoltmeterForm, written_channels
-from bench.devices.wires import bus_place
-from bench.files.bench.instruments import InstrumentsSection
-from bench.files.bench.rail_checks import supply_mistakes
+from bench.files.bench.rails import supply_mistakes
+from bench.files.bench.sections import InstrumentsSection
 from bench.readings.table import UNORIENTED
 
 _OVER_RANGE: Final = 1.2

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field, field_validator
 
-from bench.base.form_mistakes import Place
 from bench.base.forms import (
     FileMistakes,
     FileModel,
@@ -20,28 +19,31 @@ from bench.base.forms import (
     validated,
 )
 from bench.base.units import FrequencyHz
-from bench.devices.heads import MotorisedHeadForm
+from bench.base.yaml_text import Place
 from bench.devices.registry import devices, unknown_drivers
+from bench.devices.sections import MotorisedHeadForm
 from bench.devices.unknown import UnknownVoltmeter
-from bench.files.bench.check_block import CheckBlockSection
 from bench.files.bench.crosschecks import FURTHER, mistakes_between_parts
-from bench.files.bench.instruments import InstrumentsSection, RecordedInstruments
-from bench.files.bench.simulation import SimulationSection
+from bench.files.bench.sections import (
+    CheckBlockSection,
+    InstrumentsSection,
+    RecordedInstruments,
+    SimulationSection,
+)
 from bench.files.bench.stand import (
     Gravity,
     InstallationSection,
     Location,
     MeasuredGravity,
     StandSection,
+    UncertaintySection,
     UnitUnderTest,
     VerificationSection,
 )
-from bench.files.bench.uncertainty import UncertaintySection
 from bench.files.formulas import FormulaEntry
 from bench.files.model import EffectEntry, mistakes_with_formulas
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Distribution, Effect, Installation
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.model.gravity import normal_gravity_m_s2
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, normal_gravity_m_s2
 
 __all__ = ["BenchFile", "FileMistakes", "load_bench", "load_recorded_bench", "sha256_of_file"]
 

@@ -12,7 +12,7 @@ from bench.base.arrays import ARCSEC, CHANNELS
 from bench.devices.certificates import Certificate, ChamberCertificate, HeadCertificate
 from bench.devices.voltmeters import VoltmeterForm
 from bench.files.bench.file import BenchFile
-from bench.files.bench.instruments import InstrumentForm
+from bench.files.bench.sections import InstrumentForm
 from bench.readings.corrected import Corrections
 
 _MICRO: Final = 1e-6

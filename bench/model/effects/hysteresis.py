@@ -12,9 +12,8 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.model.conditions import Conditions
+from bench.model.conditions import Conditions, HeadPath, head_path
 from bench.model.effects.base import BlockEffect, Parameter, Seen, Values
-from bench.model.head_path import HeadPath, head_path
 
 SLOW: Final = 0.05
 """Change of specific force with angle, g/rad, below which its sign no longer counts."""

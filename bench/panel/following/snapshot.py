@@ -1,24 +1,4 @@
-"""What is told of a run at a moment, as a page and its script are given it: dicts, lists, texts and numbers
-alone.
-
-The keys, all there in every snapshot (None where there is nothing):
-
-- `run`, `title`, `simulated`, `unit`, `operator`, `procedure`, `bench`: what the run was begun with;
-- `events`: the number of the last; `last_time`: its civil time; `now`: that of the snapshot; `bench_s`;
-- `state`: one word; `alive`: whether a program carries it out; `why`: what stopped it; `to_do`: what is to
-  be done yet;
-- `doing`: what is being done, a sentence; `prompt`: the question that waits, see `prompt_of`; `refused`: why
-  the answer before was not taken; `answered`: the last answer, by whom and where;
-- `where`: `installation`, `series`, `pass`, `point`, `reading` of `readings`, `step` of `steps`, `left_s`,
-  `left`;
-- `angle`: `commanded` and `read` in ° ′ ″, `commanded_deg`, `read_deg`, `off`, `direction`;
-- `reading`: the last: `words`, `channels` of `value`, `scatter`, `drift`, `steady`, `outlier` in words; `rest`;
-- `chamber`: `set_c`, `actual_c`, `actual_time`, `window`; `soak`: the clock of a wait: `words`, `begun_s`,
-  `lasts_s`, `left_s`, `until` (civil time at which it ends, where the run is no simulated one);
-- `warnings`: `n`, `words`, `causes`, `channels`, `stops`, the latest first; `doubt`: whether one of them
-  stopped the run;
-- `log`: the last events, `n`, `time`, `words`, `by`, the latest first.
-"""
+"""What is told of a run at a moment: its state, and the question that waits."""
 
 from __future__ import annotations
 
@@ -32,20 +12,95 @@ from bench.base.arrays import CHANNELS
 from bench.base.numbers import fixed, places, quantity
 from bench.base.words import APPROACH
 from bench.base.words import duration as exact_duration
-from bench.model import Installation
-from bench.panel.following.prompting import prompt_of
-from bench.panel.following.seen import Seen
+from bench.model.geometry import Installation
+from bench.panel.following.events import Seen
+from bench.panel.mounting_drawing import mounting, turn
 from bench.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
 from bench.procedure.steps import precision_in_words
 from bench.readings.reading import Reading
-from bench.run.answers import AskedPrompt
+from bench.run.answers import REASON, AskedPrompt
 from bench.run.events import Event
-from bench.run.log import in_words
 from bench.run.samples import OUTLIER_LEAST
-from bench.run.sentences import duration
+from bench.run.sentences import duration, in_words
 from bench.run.states import ENDED, RunState
-from bench.run.time_left import TimeLeft
+from bench.run.terminal import TimeLeft
 from drivers.angles import format_dms
+from drivers.interfaces.person import PromptKind
+
+
+def prompt_of(asked: AskedPrompt, seen: Seen, installations: Mapping[str, Installation]) -> dict[str, Any]:
+    """Return a question.
+
+    `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `picture` as it was put; `do`,
+    what is to be done; `target`, the angle in ° ′ ″ of a turn, `direction` +1 or -1; `drawing`, an SVG,
+    empty where there is none; `buttons`: what can be answered by pressing one (`text` is the answer, `label`
+    what stands on it), the first is what Enter does where `enter` says so.
+    """
+    prompt = asked.prompt
+    action: Mapping[str, Any] = prompt.action  # of a record, which may say anything
+    told: dict[str, Any] = {
+        "id": prompt.id,
+        "kind": prompt.kind.value,
+        "text": prompt.text,
+        "default": prompt.default,
+        "unit": prompt.unit,
+        "choices": list(prompt.choices),
+        "minimum": prompt.minimum,
+        "maximum": prompt.maximum,
+        "picture": prompt.picture,
+        "time": asked.event.time,
+        "do": str(action.get("do", "answer")),
+        "target": None,
+        "direction": None,
+        "drawing": "",
+        "enter": prompt.default is not None,
+    }
+    match told["do"]:
+        case "turn":
+            target_rad, direction = float(action["target_rad"]), int(action["direction"])
+            told |= {"target": format_dms(target_rad % math.tau), "direction": direction}
+            at_rad = None if seen.turned is None else math.radians(seen.turned[1].angle_deg)
+            mounted = None if seen.mounted is None else installations.get(seen.mounted.installation)
+            told["drawing"] = turn(mounted, at_rad, target_rad, direction)
+        case "mount" if (installation := installations.get(str(action.get("installation")))) is not None:
+            told["drawing"] = mounting(installation)
+    told["buttons"] = _buttons(told)
+    return told
+
+
+def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return the answers that a press gives; an empty one is the default, as by Enter."""
+    default = told["default"]
+    buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
+    match told["kind"]:
+        case PromptKind.CONFIRM:
+            pressed = [("yes", "Yes, it is done"), ("no", "No, not yet")]
+            if told["do"] in {"answer", "ask"}:
+                pressed = [("yes", "Yes"), ("no", "No")]
+            return buttons + [{"text": text, "label": label} for text, label in pressed if text != default]
+        case PromptKind.CHOOSE:
+            return buttons + [_choice(one) for one in told["choices"] if one != default]
+    return buttons
+
+
+def _choice(choice: str) -> dict[str, str]:
+    """Return the button of a choice; of one that wants words of one's own the beginning of the answer, `begin`."""
+    if choice.endswith(f" {REASON}"):
+        beginning = choice.removesuffix(REASON)
+        return {"begin": beginning, "label": f"{beginning.strip()} because …"}
+    return {"text": choice, "label": choice}
+
+
+def _label(told: Mapping[str, Any], default: str) -> str:
+    match told["do"]:
+        case "turn":
+            return f"It stands at {default}"
+        case "wait":
+            return "Go on"
+        case "select_input":
+            return "Done"
+    return default.capitalize() if told["kind"] == PromptKind.CONFIRM else default
+
 
 LOG_LINES: Final = 14
 DRIFTS: Final = 0.01

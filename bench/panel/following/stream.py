@@ -1,24 +1,234 @@
-"""One follower a run, shared by all who look at it, and what each of them is sent: server-sent events.
-
-Events: `state` (a snapshot, whenever something changed), `points` (the residuals: from which place on they replace
-what was sent before), `beat` (nothing changed, the panel lives), `trouble` (the record cannot be read; a sentence).
-"""
+"""Followers of runs, shared by all viewers, sent as server-sent events with residuals."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from bench.api.own_effects import knowing_effects_on_record
 from bench.base.forms import FileMistakes
 from bench.base.numbers import without_infinity
-from bench.panel.following.follower import Follower
-from bench.panel.following.residuals import Points
+from bench.files.bench.file import BenchFile, load_bench
+from bench.panel.following.events import Seen, Tail
+from bench.panel.following.snapshot import About, snapshot
+from bench.procedure.plan import Mount, Plan, Read
+from bench.readings.reading import Reading
 from bench.run.answers import AskedPrompt
+from bench.run.events import Event, EventType
+from bench.run.folder import BENCH, Run
 from bench.run.manifest import RecordError
+from bench.run.record import is_being_written
+from bench.run.terminal import TimeLeft
+from bench.run.watch.early_warning import watcher_of
+from drivers.clock import Clock, SystemClock, utc_now
+
+MOST_POINTS: Final = 200
+COVERAGE: Final = 2.0
+"""The bands are ± so many standard uncertainties."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points as they were at a moment, see `Residuals`; `version` changes with those that stood before."""
+
+    version: int = 0
+    points: tuple[dict[str, Any], ...] = ()
+
+    def since(self, told: Points) -> dict[str, Any]:
+        """Return what is to be sent to who was told these: from which place on which points stand, and k."""
+        begin = len(told.points) if told.version == self.version else 0
+        return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
+
+
+class Residuals:
+    """Judges the readings of a run; `points` are told to those who look.
+
+    A point: `n` of its event, `step`, `installation`, `series`, `pass`, `point`, `angle_deg`, `time_s`, per
+    channel `residual` from the prediction and its standard uncertainty `u` (`unit`), `sigma`; `struck`,
+    where it was taken again. `version` counts the changes of points that stood already.
+    """
+
+    def __init__(self, plan: Plan, bench: BenchFile) -> None:
+        self._watcher = watcher_of(plan, bench)
+        self._steps = plan.steps
+        self._waiting: deque[Event] = deque()
+        self._readings = 0
+        self.points: list[dict[str, Any]] = []
+        self.version = 0
+
+    def note(self, event: Event) -> None:
+        """Take note of an event, to be judged later: see `judge_next`."""
+        if event.type not in _TOLD:
+            return
+        if event.type == EventType.STEP_DONE and not isinstance(self._steps[event.step], Read | Mount):
+            return
+        self._waiting.append(event)
+        self._readings += _is_reading(event)
+        while self._readings > MOST_POINTS:
+            self._readings -= _is_reading(self._waiting.popleft())
+
+    @property
+    def waiting(self) -> bool:
+        """Whether readings wait to be judged."""
+        return self._readings > 0
+
+    def judge_next(self) -> bool:
+        """Judge the next of the readings that wait; say whether there was one."""
+        while self._waiting:
+            event = self._waiting.popleft()
+            self._watcher.observe(event)
+            match event.type:
+                case EventType.REDO:
+                    self._strike(event)
+                case EventType.STEP_DONE if isinstance(reading := event.result, Reading):
+                    self._readings -= 1
+                    self._watcher.take(reading)
+                    self._add(event, reading)
+                    return True
+        return False
+
+    def _strike(self, redo: Event) -> None:
+        steps = set(redo.steps)
+        for point in self.points:
+            if point["step"] in steps and not point["struck"]:
+                point["struck"] = True
+                self.version += 1
+
+    def _add(self, event: Event, reading: Reading) -> None:
+        judged = self._watcher.judged
+        if judged is None or reading.angle_deg is None:
+            return
+        u = np.sqrt(np.diagonal(judged.covariance[0]))
+        self.points.append(
+            {
+                "n": event.number,
+                "step": event.step,
+                "installation": reading.installation,
+                "series": reading.series,
+                "pass": reading.pass_number,
+                "point": reading.point,
+                "angle_deg": reading.angle_deg,
+                "time_s": event.bench_s if reading.time_s is None else reading.time_s,
+                "unit": reading.unit,
+                "residual": [float(f"{value:.6g}") for value in judged.residual[0]],
+                "u": [float(f"{value:.4g}") for value in u],
+                "sigma": [float(f"{value:.3g}") for value in judged.sigma[0]],
+                "struck": False,
+            }
+        )
+        if len(self.points) > MOST_POINTS:
+            del self.points[0]
+            self.version += 1
+
+
+_TOLD: Final = frozenset({EventType.STEP_DONE, EventType.REMOUNTED, EventType.REDO, EventType.WENT_ON})
+
+
+def _is_reading(event: Event) -> bool:
+    return "reading" in event.data
+
+
+ALIVE_LOOK_S: Final = 1.0
+"""So often it is looked whether a program still carries the run out."""
+
+
+class Follower:
+    """Follows a run. Raises `RecordError`, `FileMistakes` where its inputs or its record cannot be read."""
+
+    def __init__(self, folder: Path, clock: Clock | None = None) -> None:
+        run = Run(folder)
+        self._folder = folder
+        self._clock = clock or SystemClock()
+        self._tail = Tail(folder)
+        self._seen = Seen(run.plan)
+        with knowing_effects_on_record(run):
+            bench = load_bench(folder / BENCH)
+        self._residuals = Residuals(run.plan, bench)
+        supply = bench.unit_under_test.supply
+        step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
+        self._time_left = TimeLeft(step_s)
+        manifest = run.manifest
+        unit = manifest.get("unit_under_test", {"type": "", "serial": ""})
+        self._about = About(
+            run=run.name,
+            title=run.plan.name,
+            simulated=run.simulated,
+            unit=f"{unit.get('type', '')} {unit.get('serial', '')}".strip(),
+            operator=str(manifest.get("operator", "")),
+            procedure=str(manifest.get("procedure", "")),
+            bench=str(manifest.get("bench", "")),
+            installations=bench.installation_models(),
+            chamber=bench.instruments.chamber is not None,
+        )
+        self._alive, self._looked_s = False, -ALIVE_LOOK_S
+        self._unheard = 0
+        """Up to this event nobody hears an answer any more: the program that asked is gone."""
+
+    def look(self) -> bool:
+        """Read what is new; say whether what is told of the run has changed. Raises `RecordError`."""
+        grown = self._tail.grown()
+        # what comes where nobody was thought to write is another program's: its question is to be heard
+        changed = self._look_for_writer(at_once=grown and not self._alive)
+        if grown:
+            for event in self._tail.new():
+                self._seen.take(event)
+                if event.type == EventType.CHOSEN:
+                    self._time_left.choose(event.data)
+                self._residuals.note(event)
+                changed = True
+        if not self._alive:
+            self._unheard = self._seen.events
+        return changed
+
+    def judge(self) -> bool:
+        """Judge one reading more against its prediction; say whether there was one."""
+        return self._residuals.judge_next()
+
+    @property
+    def prompt(self) -> AskedPrompt | None:
+        """The question that stands, None where none does or nobody would hear an answer."""
+        asked = self._seen.prompt
+        return asked if self._alive and asked is not None and asked.event.number > self._unheard else None
+
+    @property
+    def waiting(self) -> bool:
+        """Whether readings wait to be judged."""
+        return self._residuals.waiting
+
+    def state(self) -> dict[str, Any]:
+        """Return what is told of the run now, see `bench.panel.following.snapshot`."""
+        if (begun := self._seen.begun) is not None:
+            self._time_left.begin(begun.step, begun.bench_s)
+        return snapshot(
+            self._seen, self._about, self._time_left, self.prompt, alive=self._alive, now=utc_now()
+        )
+
+    @property
+    def points_version(self) -> tuple[int, int]:
+        """What changes with the points: how often those before were changed, and how many there are."""
+        return self._residuals.version, len(self._residuals.points)
+
+    def points(self) -> Points:
+        """Return the readings against their predictions as they are now."""
+        return Points(self._residuals.version, tuple(self._residuals.points))
+
+    def _look_for_writer(self, *, at_once: bool) -> bool:
+        """Look now and then, or at once, whether the run is carried out; say whether that has changed."""
+        now_s = self._clock.now_s()
+        if not at_once and now_s - self._looked_s < ALIVE_LOOK_S:
+            return False
+        self._looked_s, before = now_s, self._alive
+        self._alive = is_being_written(self._folder)
+        return self._alive is not before
+
 
 LOOK_S: Final = 0.05
 BEAT_S: Final = 2.0

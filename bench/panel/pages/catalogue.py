@@ -9,8 +9,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from bench.panel.access.acting import looking, panel_of
-from bench.panel.access.people import Refusal
+from bench.panel.access import Refusal
+from bench.panel.acting import looking, panel_of
 from bench.panel.pages.shown import page
 
 if TYPE_CHECKING:

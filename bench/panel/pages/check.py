@@ -9,8 +9,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from bench.panel.access.acting import looking, panel_of
-from bench.panel.access.people import Refusal
+from bench.panel.access import Refusal
+from bench.panel.acting import looking, panel_of
 from bench.panel.pages.shown import APART
 
 KINDS: Final = {"": None, "real": True, "simulated": False}
@@ -27,8 +27,8 @@ async def check(request: Request) -> Response:
 
 
 def _drawn(folder: Path, real: bool | None) -> str:
-    from bench.api.chart_sources import charted_runs
     from bench.api.check_block import chart_of
+    from bench.api.check_runs import charted_runs
     from bench.report.control_chart import ChartOfBlock, render_chart
 
     taken = charted_runs([str(folder)], folder, None, real=real)

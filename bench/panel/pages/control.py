@@ -9,11 +9,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
-from bench.panel.access.acting import acting, panel_of
-from bench.panel.access.people import Person, Refusal, Role
+from bench.panel.access import Person, Refusal, Role
+from bench.panel.acting import acting, panel_of
 from bench.panel.holding import change, read_holding, require_holder
-from bench.panel.launching.carrying import resume_run
-from bench.panel.pages.refused import wants_json
+from bench.panel.launching import resume_run
+from bench.panel.pages.shown import wants_json
 from bench.run.answers import LONGEST, LeftAnswer, leave_answer, problem_with_answer
 from bench.run.control import SIGN, RunControl, Who, leave_wish, parse_wish
 from bench.run.folder import Run

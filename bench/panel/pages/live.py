@@ -10,8 +10,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from bench.base.numbers import without_infinity
-from bench.panel.access.acting import looking, panel_of, person_of
-from bench.panel.access.people import Refusal
+from bench.panel.access import Refusal
+from bench.panel.acting import looking, panel_of, person_of
 from bench.panel.following.stream import as_event
 from bench.panel.pages.shown import page
 from bench.run.answers import AskedPrompt, problem_with_answer, understood_answer

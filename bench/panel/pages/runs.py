@@ -9,7 +9,7 @@ from urllib.parse import urlencode
 from starlette.requests import Request
 from starlette.responses import Response
 
-from bench.panel.access.acting import looking, panel_of
+from bench.panel.acting import looking, panel_of
 from bench.panel.pages.shown import page
 from bench.panel.table import UNREAD, Row
 

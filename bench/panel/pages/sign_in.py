@@ -10,9 +10,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from bench.panel.access.acting import acting, fields, panel_of
-from bench.panel.access.people import Refusal, Role
-from bench.panel.access.store import LONGEST_SESSION
+from bench.panel.access import LONGEST_SESSION, Refusal, Role
+from bench.panel.acting import acting, fields, panel_of
 from bench.panel.pages.shown import page
 
 _HERE: Final = re.compile(r"/(?:[^/\\\s][^\\]*)?")

@@ -12,13 +12,22 @@ from starlette.responses import RedirectResponse, Response
 
 from bench.base.visible import visible
 from bench.files.shipped import CONFIG, PROCEDURES
-from bench.panel.access.acting import acting, looking, panel_of
-from bench.panel.access.people import Person, Refusal, Role
+from bench.panel.access import Person, Refusal, Role
+from bench.panel.acting import acting, looking, panel_of
 from bench.panel.holding import change, read_holding
-from bench.panel.launching.carrying import name_of, start_run
-from bench.panel.launching.choices import OF_RUN, choices, chosen_bench, chosen_procedure
-from bench.panel.launching.detached import start
-from bench.panel.launching.wish import WISH, Found, Wanted, WishFolder
+from bench.panel.launching import (
+    OF_RUN,
+    WISH,
+    Found,
+    Wanted,
+    WishFolder,
+    choices,
+    chosen_bench,
+    chosen_procedure,
+    name_of,
+    start,
+    start_run,
+)
 from bench.panel.pages.shown import page
 from bench.panel.panel import Panel
 from bench.run.sentences import duration
@@ -69,9 +78,7 @@ def _wished(panel: Panel, person: Person, sent: dict[str, str]) -> WishFolder:
     ).hashed()
     name_of(wanted, panel.runs)
     wish = panel.wishes.new(wanted)
-    start(
-        [str(wish.path.absolute())], wish.path / "trying.log", program=("-m", "bench.panel.launching.trying")
-    )
+    start([str(wish.path.absolute())], wish.path / "trying.log", program=("-m", "bench.panel.trying"))
     return wish
 
 

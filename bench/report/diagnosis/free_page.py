@@ -1,21 +1,182 @@
-"""The page of a diagnosis of free positions: one HTML file that needs nothing but itself."""
+"""The page of a diagnosis of free positions, with its figures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from markupsafe import Markup
 
 from bench.analysis.diagnosis.free_result import FreeDiagnosis
-from bench.base.arrays import CHANNELS
+from bench.base.arrays import CHANNELS, Floats
 from bench.base.numbers import aligned, concise, quantity, rounded, scale_for, typeset
-from bench.model import CATALOGUE
 from bench.model.block import COEFFICIENTS
-from bench.report.diagnosis import free_plots, free_words, plots, words
+from bench.model.effects import CATALOGUE
+from bench.report.diagnosis import free_words, plots, words
+from bench.report.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
 from bench.report.tables import Row, symbol
 from bench.report.template import page
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+INK: Final = "#222222"
+MARKS: Final = "osD^vP*X"
+BARS: Final = 0.8
+"""Of the room of a record, what its bars fill."""
+
+
+def overlay(found: FreeDiagnosis, sensor: int) -> str:
+    """Signals of a sensor in the order of measurement, a row for each channel: measured over simulated.
+
+    Nobody knows how it lay: it is simulated in the direction that its signals give, where a modulus other than 1 g
+    shows. On the right both less what the model as it was given simulates, magnified.
+    """
+    rows = found.rows
+    mine = rows.sensor == sensor
+    signal = rows.tables[sensor].signal
+    per_g = rows.direction[mine] @ rows.block[sensor].K.T
+    given, last = (per_g * fit.left[mine][:, None] for fit in (found.before, found.after))
+    size = scale_for(float(np.max(np.abs(signal))), rows.tables[sensor].unit)
+    scale = scale_for(float(np.max(np.abs(given))), rows.tables[sensor].unit)
+    number = np.arange(1, len(signal) + 1)
+    whose = "with what was found" if found.found else "as it was given"
+
+    def draw(figure: Figure) -> None:
+        grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)
+        for i, channel in enumerate(CHANNELS):
+            left: Axes = grid[i, 0]
+            left.plot(
+                number, (signal - last)[:, i] / size.size, "_", color=INK, markersize=9, markeredgewidth=1.4,
+                label=f"simulated, {whose}",
+            )  # fmt: skip
+            left.plot(
+                number, signal[:, i] / size.size, "o", color=BLUE, markersize=3.5, alpha=0.8, label="measured"
+            )
+            left.set_ylabel(f"channel {channel} / {size.unit}")
+            right: Axes = grid[i, 1]
+            right.axhline(
+                0.0, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), label="simulated as it was given"
+            )
+            right.plot(number, given[:, i] / scale.size, "o", color=BLUE, markersize=3.5, alpha=0.8)
+            if found.found:
+                right.plot(
+                    number,
+                    (given - last)[:, i] / scale.size,
+                    "_",
+                    color=INK,
+                    markersize=9,
+                    markeredgewidth=1.4,
+                )
+            right.set_ylabel(scale.unit)
+        _mark_records(grid.flat, rows.record[mine])
+        grid[0, 0].set_title(f"sensor {sensor + 1}" if rows.sensors > 1 else "signals")
+        grid[0, 1].set_title("less the sensor simulated as it was given")
+        for axes in grid[2]:
+            axes.set_xlabel("position, in the order of measurement")
+        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=3)
+
+    alt = (
+        f"Measured and simulated signals of channels x, y, z of sensor {sensor + 1} at {len(signal)} positions, "
+        "and both less the sensor simulated as it was given"
+    )
+    return svg_figure(f"free-overlay-{sensor}", (7.6, 5.6), draw, alt)
+
+
+def _mark_records(all_axes: Any, record: Floats) -> None:
+    """Draw a line where another record begins."""
+    edges = np.flatnonzero(np.diff(record)) + 1.5
+    for axes in all_axes:
+        for edge in edges:
+            axes.axvline(edge, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+
+
+def modulus_in_time(found: FreeDiagnosis) -> str:
+    """|a| - 1 of each position against the time in its record, as it was given, and with what was found."""
+    rows = found.rows
+    fits = [("as it was given", found.before), ("with what was found", found.after)][: 1 + bool(found.found)]
+    scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
+    time_s = np.concatenate([table.conditions().elapsed_s for table in rows.tables])
+    for record in np.unique(rows.record):
+        time_s[rows.record == record] -= time_s[rows.record == record].min()
+
+    def draw(figure: Figure) -> None:
+        grid: Any = figure.subplots(1, len(fits), sharex=True, squeeze=False)
+        for axes, (title, fit) in zip(grid[0], fits, strict=True):
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+            for number in (2.0, -2.0):
+                axes.axhline(
+                    number * found.noise_g / scale.size, color=GREY, linestyle=(0, (6, 3)), linewidth=0.9,
+                    label="two standard deviations of the noise",
+                )  # fmt: skip
+            for record in np.unique(rows.record):
+                for sensor in range(rows.sensors):
+                    mine = (rows.record == record) & (rows.sensor == sensor)
+                    axes.plot(
+                        time_s[mine] / 60.0, fit.left[mine] / scale.size, MARKS[sensor % len(MARKS)],
+                        color=PASS_COLOURS[record % len(PASS_COLOURS)],
+                        fillstyle=PASS_FILLS[record // len(PASS_COLOURS) % len(PASS_FILLS)], markersize=3.5,
+                        label=_which(found, sensor, int(record)),
+                    )  # fmt: skip
+            axes.set_title(title)
+            axes.set_xlabel("time in the record / min")
+        grid[0, 0].set_ylabel(f"|a| − 1 g / {scale.unit}")
+        figure.legend(*_few(grid), loc="outside upper center", ncols=5)
+
+    alt = "The modulus of the specific force less 1 g against the time in its record, before and after"
+    return svg_figure("free-time", (7.6, 3.4), draw, alt)
+
+
+def _which(found: FreeDiagnosis, sensor: int, record: int) -> str:
+    """Return what a mark is of, as few words as there are sensors and records."""
+    return f"record {record + 1}" if sensor == 0 or found.rows.sensors == 1 else f"_sensor {sensor + 1}"
+
+
+def _few(grid: Any) -> tuple[list[Any], list[str]]:
+    handles, labels = legend_of(grid.flat)
+    shown = [(h, label) for h, label in zip(handles, labels, strict=True) if not label.startswith("_")]
+    return [h for h, _ in shown], [label for _, label in shown]
+
+
+def modulus_by_record(found: FreeDiagnosis) -> str:
+    """Root mean square of |a| - 1 of each sensor in each record, as it was given, and with what was found."""
+    rows = found.rows
+    records = np.unique(rows.record)
+    scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
+    width = BARS / rows.sensors
+
+    def draw(figure: Figure) -> None:
+        axes: Axes = figure.subplots()
+        for sensor in range(rows.sensors):
+            at = np.arange(len(records)) + (sensor - (rows.sensors - 1) / 2) * width
+            for fit, colour, part, what in (
+                (found.before, VERMILION, 1.0, "as it was given"),
+                (found.after, BLUE, 0.55, "with what was found"),
+            ):
+                if fit is found.before or found.found:
+                    sizes = [_rms(fit.left[(rows.record == r) & (rows.sensor == sensor)]) for r in records]
+                    axes.bar(
+                        at, np.array(sizes) / scale.size, width=0.9 * part * width, color=colour,
+                        label=what,
+                    )  # fmt: skip
+        axes.axhline(
+            found.noise_g / scale.size, color=GREY, linestyle=(0, (6, 3)), linewidth=1.1, label="noise alone"
+        )
+        axes.set_xticks(np.arange(len(records)), [f"record {r + 1}" for r in records])
+        axes.grid(visible=False, axis="x")
+        axes.set_ylabel(f"|a| − 1 g, rms / {scale.unit}")
+        figure.legend(*legend_of(iter([axes])), loc="outside upper center", ncols=3)
+
+    alt = f"Root mean square of the modulus less 1 g in {len(records)} records of {rows.sensors} sensors"
+    return svg_figure("free-records", (6.4, 3.0), draw, alt)
+
+
+def _rms(part: Floats) -> float:
+    return float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
+
 
 MOST_DRAWN: Final = 8
 """Sensors of which signals are drawn."""
@@ -33,7 +194,7 @@ def render_free(
     copies: Sequence[str],
 ) -> str:
     """Return the page; the same content gives the same text. `models` and `copies` are files that were written."""
-    drawn = [_drawn(free_plots.overlay(found, s)) for s in range(min(found.rows.sensors, MOST_DRAWN))]
+    drawn = [_drawn(overlay(found, s)) for s in range(min(found.rows.sensors, MOST_DRAWN))]
     return page(
         "free_diagnosis.html.j2",
         title=title,
@@ -50,8 +211,8 @@ def render_free(
         quantity=quantity,
         effects=[(free_words.title(one), one, free_words.parameters(one)) for one in found.found],
         overlays=drawn,
-        in_time=_drawn(free_plots.modulus_in_time(found)),
-        by_record=_drawn(free_plots.modulus_by_record(found)) if found.records > 1 else None,
+        in_time=_drawn(modulus_in_time(found)),
+        by_record=_drawn(modulus_by_record(found)) if found.records > 1 else None,
         gap_bars=_drawn(plots.gap_bars(found.gap)) if found.found and found.gap.folds else None,
         held_out=[
             Row(

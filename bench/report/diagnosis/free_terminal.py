@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.analysis.diagnosis.free_result import FreeDiagnosis
+from bench.base.computing import quiet
 from bench.base.numbers import quantity, typeset
-from bench.base.progress import quiet
 from bench.report.diagnosis import free_words, words
 
 

@@ -15,8 +15,8 @@ from bench.analysis.diagnosis.where import Place
 from bench.base.numbers import aligned, concise, fixed, quantity, rounded, scale_for, two_digits, typeset
 from bench.model import CATALOGUE, Effect
 from bench.report.diagnosis import plots, words
-from bench.report.diagnosis.form import form_in_words
-from bench.report.diagnosis.overlay import most_telling, overlay_of_mount
+from bench.report.diagnosis.plots import most_telling, overlay_of_mount
+from bench.report.diagnosis.words import form_in_words
 from bench.report.plots import mounts_of
 from bench.report.tables import Row, symbol
 from bench.report.template import page

@@ -9,16 +9,15 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.analysis.diagnosis import Diagnosis, NamedEffect
-from bench.analysis.diagnosis.alternatives import Rival
 from bench.analysis.diagnosis.confirm import Confirmation
-from bench.analysis.diagnosis.form.instead import UNNAMED_FORM
-from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
+from bench.analysis.diagnosis.full import FullDiagnosis, Rival, TooLittleLeft
+from bench.analysis.diagnosis.residual_search import UNNAMED_FORM
 from bench.analysis.diagnosis.show import Shown
+from bench.base.computing import quiet
 from bench.base.numbers import concise, quantity, typeset
-from bench.base.progress import quiet
 from bench.model import CATALOGUE
 from bench.report.diagnosis import words
-from bench.report.diagnosis.form import form_in_words
+from bench.report.diagnosis.words import form_in_words
 
 LISTED_PLACES: Final = 6
 LISTED_SHIFT: Final = 0.5

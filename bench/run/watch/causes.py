@@ -1,11 +1,4 @@
-"""Which classic mistake explains a reading that does not fit: each is supposed in turn and held against the data.
-
-Mistakes of one reading (a wrong setting) are supposed for that reading alone; mistakes of cabling and of
-the procedure also for the whole run or mounting so far, since before the model knows the block they are
-taken for a property of it. A wrong setting that could not be seen in an earlier reading is supposed there as
-well, and the later readings are held against what is known of the block without it. The likelihood of all
-readings decides; equally likely ones are all named.
-"""
+"""Which classic mistake explains a reading, and when that is sure enough to stop a run."""
 
 from __future__ import annotations
 
@@ -15,23 +8,33 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model import Block, ForwardModel
+from bench.model.block import Block
+from bench.model.conditions import Mounting
+from bench.model.forward import ForwardModel
 from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judgement, NoiseSizes, poses
-from bench.run.watch.sighting import ABSENT, AS_IT_IS, SHIFTS, Member, Replay, Sighting, Suspect
 from bench.run.watch.suppositions import (
+    ABSENT,
+    AS_IT_IS,
     CABLED,
     CABLINGS,
     FIRST_ORIENTATION,
     FREE,
+    LASTING,
     REVERSALS,
     REVERSED_MEANWHILE,
     SAT_RIGHT,
+    SHIFTS,
     UNLIKELY,
     Elsewhere,
     Kind,
+    Member,
+    Replay,
+    Sighting,
     Supposed,
+    Suspect,
     head_elsewhere,
     other_installation,
 )
@@ -282,3 +285,88 @@ def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
 
 def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
     return ExpectedPose(pose.force[index], pose.slopes[index], pose.addition[index])
+
+
+STOP_ALARM: Final = 1e-6
+"""Probability that a whole run on a good bench has one reading that is far beyond chance."""
+
+CLEARLY: Final = 5.0
+"""So many times larger, in volts, is a mistake than what the model lacks."""
+
+
+class Confidence:
+    """Decides of each early sign whether it stops the run, and remembers what a person went on with."""
+
+    def __init__(self, readings: int) -> None:
+        self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
+        self._last: tuple[Kind, ...] = ()
+        self._accepted: set[tuple[Kind, tuple[Mounting, ...] | None]] = set()
+        self._silent = False
+        self._unexplained_v = 0.0
+        self._undecided: tuple[Sighting, list[Suspect]] | None = None
+
+    def mounted(self) -> None:
+        """Say that the block was mounted anew: what was accepted of the mounting before is over."""
+        self._silent, self._undecided = False, None
+
+    def forget(self) -> None:
+        """Say that readings are taken again: nothing about them is undecided any more."""
+        self._silent, self._undecided, self._unexplained_v = False, None, 0.0
+
+    def went_on(self, sighting: Sighting) -> None:
+        """Say that a person goes on with the mistakes last named: lasting ones are not asked about again."""
+        self._silent = True
+        for kind in self._last:
+            if kind in LASTING:
+                mount = sighting.row.mounts if kind in (Kind.INSTALLATION, Kind.ORIENTATION) else None
+                self._accepted.add((kind, mount))
+
+    def misfits(
+        self, sighting: Sighting, chi2: float, off_v: float, causes: Sequence[Suspect], in_a_row: int
+    ) -> bool:
+        """Tell whether the run is to be stopped at a reading that does not fit, `in_a_row`-th of such ones.
+
+        `off_v` is by how much its signals are off.
+        """
+        self._undecided = None
+        somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
+        named = [cause for cause in causes if cause not in somehow]
+        only_before = somehow and all(cause.kind is Kind.EARLIER for cause in named)
+        if not named or only_before or not all(cause.stops for cause in named):
+            self._unexplained_v = max(self._unexplained_v, off_v)
+            return False
+        if off_v < CLEARLY * self._unexplained_v or self._is_accepted(sighting, causes):
+            return False
+        far = chi2 > self._sure
+        stops = (far and (len(causes) == 1 or sighting.next_rad is None)) or in_a_row >= 2
+        if far and not stops:
+            self._undecided = (sighting, list(causes))
+        return self._stopped_for(causes) if stops else False
+
+    def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
+        """Tell whether the run is to be stopped for an earlier reading, which these causes explain."""
+        if not causes or not all(cause.stops for cause in causes):
+            self._unexplained_v = max(self._unexplained_v, off_v)
+            return False
+        if self._silent or chi2 <= self._sure or off_v < CLEARLY * self._unexplained_v:
+            return False
+        return self._stopped_for(causes)
+
+    def fits(self) -> tuple[Sighting, list[Suspect]] | None:
+        """Take note of a reading that fits; return the one before with what explains it, if that was wrong."""
+        self._silent = False
+        before, self._undecided = self._undecided, None
+        if before is None:
+            return None
+        sighting, causes = before
+        causes = [cause for cause in causes if cause.kind not in LASTING] or causes
+        self._stopped_for(causes)
+        return sighting, causes
+
+    def _is_accepted(self, sighting: Sighting, causes: Sequence[Suspect]) -> bool:
+        held = {kind for kind, mount in self._accepted if mount in (None, sighting.row.mounts)}
+        return self._silent or any(cause.kind in held for cause in causes)
+
+    def _stopped_for(self, causes: Sequence[Suspect]) -> bool:
+        self._last = tuple(cause.kind for cause in causes)
+        return True

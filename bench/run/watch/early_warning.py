@@ -1,14 +1,4 @@
-"""Early warning: each reading is held against what the readings before it let the model expect.
-
-A slipped mount, a swapped or reversed channel, a wrong setting or installation is seen at the point where
-it happens. Nothing is rejected by it: the record keeps every reading, and the calibration decides later. Where
-one mistake is sure, the sign says so, and the run stops and asks (`bench.run.watch.confidence`).
-
-The test: the three residuals of a reading are, if all is well, normal with a covariance that is known from
-the bench file, the prior and the readings so far; their chi-square with three degrees of freedom exceeds its
-bound in one of a run's readings with the probability `FALSE_ALARM` in all. The bench file's sizes are the least
-that is taken for noise, since they cover errors that repeats do not show; repeats that scatter more widen it.
-"""
+"""Early warning: each reading is compared with what the readings before it predict."""
 
 from __future__ import annotations
 
@@ -16,6 +6,7 @@ import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -23,15 +14,28 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model import Block, ForwardModel
+from bench.files.bench.file import BenchFile
+from bench.model.block import Block
+from bench.model.forward import ForwardModel
+from bench.procedure.plan import Plan, Read
 from bench.readings.reading import Reading, readings_of
 from bench.readings.table import UNORIENTED
-from bench.run.watch.causes import Inquiry, likeliest
-from bench.run.watch.confidence import Confidence
-from bench.run.watch.expectation import SETTING, Expectation, Judgement, NoiseSizes, RepeatNoise, poses
-from bench.run.watch.sighting import Sighting, Suspect
-from bench.run.watch.sign import EarlySign, millivolts, misfit, why
-from bench.run.watch.suppositions import orientations
+from bench.run.events import Event, EventType, Mounted
+from bench.run.resume import Progress
+from bench.run.watch.causes import Confidence, Inquiry, likeliest
+from bench.run.watch.expectation import (
+    SETTING,
+    EarlySign,
+    Expectation,
+    Judgement,
+    NoiseSizes,
+    RepeatNoise,
+    millivolts,
+    misfit,
+    poses,
+    why,
+)
+from bench.run.watch.suppositions import Sighting, Suspect, orientations
 from drivers.angles import format_dms
 
 SCALE_FACTOR_U: Final = 0.03
@@ -393,3 +397,77 @@ class EarlyWarning:
         slipped, since = format_dms(abs(now.moved_rad)), before[0].place
         text = f"the block has slipped in its mount, or the head on its zero, by {slipped} since {since}"
         return [replace(now, text=text)]
+
+
+class Watcher:
+    """An observer of a run that keeps its early warning up to date; a resumed run's events are told it again."""
+
+    def __init__(self, warning: EarlyWarning) -> None:
+        self._warning = warning
+        self._places: dict[int, Place] = {}
+
+    def observe(self, event: Event) -> None:
+        """Take note of an event of the run."""
+        match event.type:
+            case EventType.STEP_DONE:
+                if isinstance(result := event.result, Reading):
+                    self._places[event.step] = result.place
+                elif isinstance(result, Mounted):
+                    self._warning.remounted()
+            case EventType.REMOUNTED:
+                self._warning.remounted()
+            case EventType.REDO:
+                again = [self._places.pop(step) for step in event.steps if step in self._places]
+                self._warning.strike(again)
+            case EventType.WENT_ON:
+                self._warning.went_on()
+
+    def take(self, reading: Reading) -> Sequence[EarlySign]:
+        """Judge a reading; return what is to be told of it."""
+        return self._warning.take(reading)
+
+    @property
+    def judged(self) -> Judgement | None:
+        """How the reading taken last was judged; None for one without a known orientation."""
+        return self._warning.judged
+
+    def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: Progress) -> None:
+        """Take the readings on record of a run that is taken up again.
+
+        None stands where the block was mounted anew. Those that were taken again, or are to be, are passed over.
+        """
+        last = {one[0]: number for number, one in enumerate(taken) if one is not None}
+        for number, one in enumerate(taken):
+            if one is None:
+                self._warning.remounted()
+                continue
+            step, reading = one
+            if last[step] != number or step not in progress.done:
+                continue
+            self._places[step] = reading.place
+            self._warning.take(reading)
+            if step in progress.gone_on:
+                self._warning.went_on()
+
+    def foresee(self, reading: Reading) -> Judgement:
+        """Hold a reading against what is expected of it without taking it."""
+        return self._warning.foresee(reading)
+
+
+def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
+    """Return who compares each reading of a plan with what the model expects from those before it."""
+    reads = [step for step in plan.steps if isinstance(step, Read)]
+    following = {
+        (read.series, read.installation, read.pass_number, read.point): after.target_rad
+        for read, after in pairwise(reads)
+        if after.target_rad is not None
+        and (read.series, read.installation) == (after.series, after.installation)
+    }
+    warning = EarlyWarning(
+        bench.unit_under_test.scale_factors.values,
+        ForwardModel(bench.installation_models()),
+        {name: distribution.u for name, distribution in bench.stand_distributions().items()},
+        readings=len(reads),
+        following=following,
+    )
+    return Watcher(warning)

@@ -1,23 +1,20 @@
-"""What the model expects of the next reading from those before: a sequential regression in covariance form.
-
-The state is the 12 coefficients and the stand's angles of the mounting that lasts; the stand's angles enter
-to first order. Every array may have a leading axis of members, so that many suppositions of what went wrong
-are followed side by side. Source of the recursion: the Kalman filter with a static state, which is Bayesian
-linear regression taken reading by reading; the linear part is taken anew about each estimate.
-"""
+"""What the model expects of the next reading, and the sign given when a reading does not fit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
-from bench.base.arrays import Floats, Mask
-from bench.model import STAND_ANGLES, Block, Conditions, ForwardModel, Mounting
+from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.model.block import Block
+from bench.model.conditions import Conditions, Mounting
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
 
 COEFFICIENT_COUNT: Final = 12
 SETTING: Final = len(STAND_ANGLES)
@@ -221,3 +218,68 @@ class Expectation:
         self.mean = self.mean + (gain @ judged.residual[..., None])[..., 0]
         lessened = self.covariance - gain @ np.swapaxes(across, 1, 2)
         self.covariance = 0.5 * (lessened + np.swapaxes(lessened, 1, 2))
+
+
+MOST_TOLD: Final = 3
+"""With more causes than that, equally likely, there is no telling yet; so many are named."""
+
+
+@dataclass(frozen=True)
+class EarlySign:
+    """A reading that does not fit those before it.
+
+    `sentence` tells it all; `sigma` are the residuals of x, y, z in standard deviations of the expectation,
+    `channels` those that stand out, `p` the probability of so large a misfit by chance; `causes` are the
+    mistakes that explain it equally well, likeliest first, empty when none does; `in_a_row` counts readings
+    in succession that did not fit; `at_fault` is the place of an earlier reading where that one was wrong (and
+    this one fits without it: `in_a_row` is 0). `kinds` are those of the causes. `confident`: the run is to stop and
+    ask (`bench.run.watch.causes`); `wrong` is then the reading at fault (series, installation, pass, point).
+    """
+
+    sentence: str
+    place: str
+    channels: tuple[str, ...]
+    sigma: tuple[float, ...]
+    p: float
+    causes: tuple[str, ...]
+    in_a_row: int
+    at_fault: str | None = None
+    kinds: tuple[str, ...] = ()
+    confident: bool = False
+    wrong: tuple[int, str, int, int] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as the data of an event."""
+        return asdict(self)
+
+
+def misfit(judged: Judgement, channels: Sequence[str]) -> str:
+    """Say by how much the channels of a reading are off."""
+    parts = []
+    for channel in channels:
+        i = CHANNELS.index(channel)
+        off_v, u_v = float(judged.residual[0, i]), math.sqrt(judged.covariance[0, i, i])
+        parts.append(
+            f"channel {channel} is {millivolts(off_v, '+')} from what was expected "
+            f"(u = {millivolts(u_v)}, {abs(off_v) / u_v:.0f} sigma)"
+        )
+    return ", ".join(parts)
+
+
+def why(causes: Sequence[str], at_fault: str | None) -> str:
+    """Say what would explain a misfit; `at_fault` is the place of an earlier reading that was wrong."""
+    if at_fault:
+        mistake = f"the mistake is at {at_fault}, which does not fit the other readings"
+        return f"{mistake}: {' or '.join(causes)}" if causes else mistake
+    if not causes:
+        return "no single mistake that is known explains it"
+    if len(causes) > MOST_TOLD:
+        told = " or ".join(causes[:MOST_TOLD])
+        return f"{len(causes)} mistakes explain it so far, the likeliest: {told}"
+    return f"probable cause: {' or '.join(causes)}"
+
+
+def millivolts(value_v: float, sign: str = "") -> str:
+    """Three digits, without an exponent."""
+    digits = 0 if abs(value_v) >= 0.1 else 1 if abs(value_v) >= 0.01 else 2
+    return f"{value_v * 1e3:{sign}.{digits}f} mV"

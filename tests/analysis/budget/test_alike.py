@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.analysis.budget.alike import Told, together
+from bench.analysis.budget.meters import Told, together
 
 PRIOR = np.array([20e-6, 20e-6, 20e-6])
 NONE = np.zeros(3, dtype=bool)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from bench.analysis.budget.acceleration import exact_monte_carlo, exact_readings
 from bench.analysis.budget.coefficients import make_budget
-from bench.analysis.budget.exact import exact_monte_carlo, exact_readings
 from bench.analysis.budget.sources import effect_sources
 from bench.analysis.calibration import CalibrationError, gls
 from bench.analysis.calibration.design import make_problem

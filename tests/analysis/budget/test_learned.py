@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.analysis.budget.acceleration import exact_readings
 from bench.analysis.budget.coefficients import make_budget
-from bench.analysis.budget.exact import exact_readings
-from bench.analysis.budget.learned import MEANS as SHARED
+from bench.analysis.budget.error_source import MEANS as SHARED
 from bench.analysis.budget.setup import make_setup
 from bench.analysis.budget.sources import assumed_stand, bench_sources
 from bench.analysis.calibration import gls

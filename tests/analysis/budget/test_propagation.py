@@ -4,9 +4,17 @@ import GTC
 import numpy as np
 import pytest
 
-from bench.analysis.budget.linear_noise import linear_noise
-from bench.analysis.budget.monte_carlo import about, monte_carlo, numerical_tolerance
-from bench.analysis.budget.propagation import Inputs, Propagated, coverage_factor, effective_dof, propagate
+from bench.analysis.budget.propagation import (
+    Inputs,
+    Propagated,
+    about,
+    coverage_factor,
+    effective_dof,
+    linear_noise,
+    monte_carlo,
+    numerical_tolerance,
+    propagate,
+)
 from bench.analysis.calibration.result import CalibrationError
 from bench.model import Distribution
 

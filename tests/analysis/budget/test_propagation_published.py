@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from bench.analysis.budget.monte_carlo import about, adaptive_monte_carlo, joint, monte_carlo, validate
-from bench.analysis.budget.propagation import Inputs, coverage_factor, propagate
+from bench.analysis.budget.propagation import (
+    Inputs,
+    about,
+    adaptive_monte_carlo,
+    coverage_factor,
+    joint,
+    monte_carlo,
+    propagate,
+    validate,
+)
 from bench.model import Distribution
 
 UNIT_RECTANGLE = Distribution(np.sqrt(3.0), "rectangular")

@@ -14,7 +14,7 @@ from bench.analysis.budget.whole import delta_g_covariance, delta_g_elsewhere, s
 from bench.analysis.calibration import calibrate
 from bench.analysis.calibration.result import Noise
 from bench.files.bench.file import load_bench
-from bench.files.bench.uncertainty import RatioError, TemperatureError, VoltageError
+from bench.files.bench.stand import RatioError, TemperatureError, VoltageError
 from bench.model import Block, ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.readings.table import VERIFICATION

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration.design import make_problem
-from bench.analysis.calibration.null_space import Direction, DirectionKind, axis_in_words
-from bench.analysis.calibration.observability import columns_of, observability, with_angles
+from bench.analysis.calibration.observability import (
+    Direction,
+    DirectionKind,
+    axis_in_words,
+    columns_of,
+    observability,
+    with_angles,
+)
 from bench.model import AppliedEffect, Block, Conditions, Effect, ForwardModel, Installation, Parameter, Stage
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bench.analysis.planning.remedies import MOST_MOUNTINGS, outlook
-from bench.analysis.planning.settings import Cost, fitted, settings_of
+from bench.analysis.planning.settings import MOST_MOUNTINGS, Cost, fitted, outlook, settings_of
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import ForwardModel

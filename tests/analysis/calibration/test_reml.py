@@ -5,7 +5,7 @@ import pytest
 from scipy import special
 
 from bench.analysis.calibration.components import walk_since
-from bench.analysis.calibration.reml import Mixed, Projection, asked_for, maximise
+from bench.stats.reml import Mixed, Projection, asked_for, maximise
 
 GROUPS, REPEATS = 12, 4
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from bench.analysis.calibration.repeats_likelihood import COMMON, OWN, believed_sizes, freedom_of, sizes_of
+from bench.stats.repeats_likelihood import COMMON, OWN, believed_sizes, freedom_of, sizes_of
 
 SIZES = np.array([0.3e-4, 1e-4, 3e-4])
 SETTING = 3e-5

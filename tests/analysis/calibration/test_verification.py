@@ -8,7 +8,7 @@ from scipy import stats
 
 from bench.analysis.calibration import CalibrationError, calibrate, verify
 from bench.analysis.calibration.conformity import Population, global_risk
-from bench.analysis.calibration.verdict_words import advice, global_risk_in_words, verdict_line
+from bench.analysis.calibration.verification import advice, global_risk_in_words, verdict_line
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings

@@ -8,8 +8,7 @@ import pytest
 
 from bench.analysis.calibration.result import CalibrationError
 from bench.analysis.control_charts.chart import CheckRun, KnownDrift, Reference, control_chart
-from bench.analysis.control_charts.components import components_of, drift_of, short_term
-from bench.analysis.control_charts.design import Design
+from bench.analysis.control_charts.statistics import Design, components_of, drift_of, short_term
 
 BEGUN = datetime(2026, 3, 1, 8, tzinfo=UTC)
 U = np.geomspace(1e-5, 1e-4, 12)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.analysis.control_charts.components import short_term
-from bench.analysis.control_charts.statistics import centre_of, judge
+from bench.analysis.control_charts.statistics import centre_of, judge, short_term
 
 DATA = Path(__file__).parents[2] / "data" / "kilogram-check.csv"
 SMOOTHING = 0.2

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from bench.analysis.diagnosis import Threshold
-from bench.analysis.diagnosis.form.dark import Dark
-from bench.analysis.diagnosis.form.describe import describe
-from bench.analysis.diagnosis.form.dictionary import make_dictionary
-from bench.analysis.diagnosis.form.search import Setting
 from bench.analysis.diagnosis.linear import make_linear
 from bench.analysis.diagnosis.noise_grid import RATIOS
 from bench.analysis.diagnosis.posterior import NoiseSize
 from bench.analysis.diagnosis.repeats import Repeats, noise_of_repeats
+from bench.analysis.diagnosis.residual_dictionary import make_dictionary
+from bench.analysis.diagnosis.residual_model import Dark, describe
+from bench.analysis.diagnosis.residual_search import Setting
 from bench.files.formulas import effects_as_written, written_formulas
 from bench.model import AppliedEffect, Stage
 from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bench.analysis.diagnosis import Threshold
-from bench.analysis.diagnosis.form.describe import describe
-from bench.analysis.diagnosis.form.dictionary import make_dictionary
-from bench.analysis.diagnosis.form.search import Setting
-from bench.analysis.diagnosis.joint import make_system
+from bench.analysis.diagnosis.multi_run_system import make_system
 from bench.analysis.diagnosis.noise_grid import RATIOS
 from bench.analysis.diagnosis.repeats import noise_of_repeats
+from bench.analysis.diagnosis.residual_dictionary import make_dictionary
+from bench.analysis.diagnosis.residual_model import describe
+from bench.analysis.diagnosis.residual_search import Setting
 from bench.model import AppliedEffect
 from bench.readings.joined import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.analysis.diagnosis.evidence import KNOWN_SIZE
-from bench.analysis.diagnosis.holdout import folds_of, restrict
+from bench.analysis.diagnosis.gap import folds_of, restrict
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior, predicted_error
 from bench.analysis.diagnosis.repeats import noise_of_repeats
 from bench.analysis.diagnosis.where import find_places

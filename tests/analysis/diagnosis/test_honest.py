@@ -10,8 +10,8 @@ from markupsafe import escape
 
 from bench.analysis.diagnosis import NamedEffect, Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.candidates import Candidates, Column, Variant
-from bench.analysis.diagnosis.known_together import known_together
 from bench.analysis.diagnosis.next_measurement import propose
+from bench.analysis.diagnosis.posterior import known_together
 from bench.analysis.diagnosis.show import CoefficientChange, contradicted
 from bench.base.arrays import ARCSEC
 from bench.files.bench.file import load_bench

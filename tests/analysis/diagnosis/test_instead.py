@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.analysis.diagnosis.form.instead import unnamed_in_place
 from bench.analysis.diagnosis.naming import Found, Naming
+from bench.analysis.diagnosis.residual_search import unnamed_in_place
 from tests.support.diagnosis_bench import paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, U0, K
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from bench.analysis.diagnosis import ThresholdCache, diagnose
-from bench.analysis.diagnosis.aliases import looking_like
-from bench.analysis.diagnosis.assumed import assumed
-from bench.analysis.diagnosis.candidates import make_candidates
-from bench.analysis.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
+from bench.analysis.diagnosis.candidates import NOTHING_KNOWN, KnownBench, make_candidates
 from bench.analysis.diagnosis.linear import make_linear
+from bench.analysis.diagnosis.result import assumed
 from bench.analysis.diagnosis.threshold import make_threshold
+from bench.analysis.diagnosis.where import looking_like
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import CATALOGUE, AppliedEffect, Installation

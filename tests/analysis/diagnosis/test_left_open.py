@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.analysis.diagnosis.applied import applied_of
 from bench.analysis.diagnosis.confirm import confirm
-from bench.analysis.diagnosis.left_open import left_open
 from bench.analysis.diagnosis.linear import make_linear
 from bench.analysis.diagnosis.naming import Found, Naming
-from bench.analysis.diagnosis.posterior import NoiseSize, fit_found, posterior
-from bench.analysis.diagnosis.shapes import beside, with_other_shapes
+from bench.analysis.diagnosis.posterior import NoiseSize, applied_of, fit_found, posterior
+from bench.analysis.diagnosis.shapes import beside, left_open, with_other_shapes
 from bench.files.model import load_model, write_model_file
 from bench.model.effects.in_part import InPart
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from bench.analysis.diagnosis import ThresholdCache, diagnose
-from bench.analysis.diagnosis.joint import make_system, with_blocks
 from bench.analysis.diagnosis.linear import make_linear
-from bench.analysis.diagnosis.runs import candidates_of
+from bench.analysis.diagnosis.multi_run_system import candidates_of, make_system, with_blocks
 from bench.analysis.diagnosis.threshold import Threshold
-from bench.base.cache import cache_folder
+from bench.base.files import cache_folder
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.joined import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, U0, K, paper_run

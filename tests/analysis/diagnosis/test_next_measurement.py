@@ -12,10 +12,9 @@ from rich.console import Console
 
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.analysis.diagnosis.linear import make_linear
-from bench.analysis.diagnosis.next_measurement import MENU, propose
-from bench.analysis.diagnosis.planned import following, planned_readings
+from bench.analysis.diagnosis.next_measurement import MENU, following, planned_readings, propose
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.separation import EffectPart, ReadingDesign, forms_everywhere
+from bench.analysis.diagnosis.visibility import EffectPart, ReadingDesign, forms_everywhere
 from bench.cli import following as following_command
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench, find_procedure

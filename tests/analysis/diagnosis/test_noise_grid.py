@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.analysis.diagnosis.coupled import coupled
-from bench.analysis.diagnosis.joint import make_system
-from bench.analysis.diagnosis.noise_grid import make_whitener
+from bench.analysis.diagnosis.multi_run_system import make_system
+from bench.analysis.diagnosis.noise_grid import coupled, make_whitener
 from bench.readings.joined import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run
 from tests.support.paper_bench import SETTING_U_RAD

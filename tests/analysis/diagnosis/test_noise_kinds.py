@@ -7,11 +7,11 @@ import pytest
 from scipy import stats
 
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.analysis.diagnosis.channels import by_channel
 from bench.analysis.diagnosis.noise_grid import make_noise_grid
 from bench.analysis.diagnosis.posterior import NoiseSize, whiten_rows
-from bench.analysis.diagnosis.rounding import digit_of, is_coarse, repeated
-from bench.analysis.mistakes.tails import odds_of_tails
+from bench.analysis.diagnosis.repeats import digit_of, is_coarse, repeated
+from bench.analysis.diagnosis.weighing import by_channel
+from bench.analysis.mistakes.single_readings import odds_of_tails
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, K
 

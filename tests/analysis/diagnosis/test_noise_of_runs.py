@@ -7,12 +7,12 @@ import pytest
 from scipy.stats import binom
 
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.analysis.diagnosis.joint import make_system
 from bench.analysis.diagnosis.linear import RunSizes
-from bench.analysis.diagnosis.looked import in_the_noise_of
-from bench.analysis.diagnosis.noise_findings import noise_findings
-from bench.analysis.diagnosis.noise_of_runs import p_alike, with_sizes_of_runs
+from bench.analysis.diagnosis.multi_run_system import make_system
+from bench.analysis.diagnosis.noise_kinds import noise_findings
 from bench.analysis.diagnosis.posterior import NoiseSize, posterior
+from bench.analysis.diagnosis.repeats import p_alike, with_sizes_of_runs
+from bench.analysis.diagnosis.single_run_search import in_the_noise_of
 from bench.analysis.diagnosis.weighing import WeighedDown
 from bench.readings.joined import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, STAND_U, K, paper_run

@@ -5,9 +5,9 @@ import pytest
 
 from bench.analysis.calibration import calibrate, verify
 from bench.analysis.diagnosis import ThresholdCache, diagnose
-from bench.analysis.diagnosis.alternatives import rivals
+from bench.analysis.diagnosis.full import rivals
 from bench.analysis.diagnosis.show import label, show
-from bench.base.cache import cache_folder
+from bench.base.files import cache_folder
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
 from tests.support.paper_bench import STAND_U

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.analysis.diagnosis.noise_findings import BENCH_FILE, OWN_SCATTER, noise_findings
+from bench.analysis.diagnosis.candidates import spells
+from bench.analysis.diagnosis.noise_kinds import BENCH_FILE, OWN_SCATTER, noise_findings
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.spells import spells
 from bench.base.arrays import ARCSEC
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run
 from tests.support.paper_bench import K

@@ -8,11 +8,10 @@ import pytest
 from bench.analysis.diagnosis import Threshold, ThresholdCache
 from bench.analysis.diagnosis.evidence import Search
 from bench.analysis.diagnosis.noise_grid import RATIOS
-from bench.analysis.diagnosis.noise_kinds import noise_kinds
+from bench.analysis.diagnosis.noise_kinds import beside_all_sizes, noise_kinds, slow_noise, with_slow_noise
 from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.rounding import digit_of
-from bench.analysis.diagnosis.slow_noise import beside_all_sizes, slow_noise, with_slow_noise
-from bench.analysis.diagnosis.straight import look
+from bench.analysis.diagnosis.repeats import digit_of
+from bench.analysis.diagnosis.single_run_search import look
 from bench.analysis.diagnosis.threshold import null_responses, total_evidence
 from benchmarks.blind_trial.cases import Row, make_case
 from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run, set_up

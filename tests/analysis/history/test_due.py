@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.history.due import due, sensitivities
+from bench.analysis.history.drift import due, sensitivities
 
 VECTOR = np.array([-2.0, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
 U = 1e-7

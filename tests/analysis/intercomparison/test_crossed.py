@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.analysis.intercomparison.allotment import allotment
+from bench.analysis.intercomparison.bench_or_block import allotment
 from bench.analysis.intercomparison.crossed import BENCH, EXCESS, UNIT, Crossing, fit, most, solve
 from benchmarks.crossed_effects import drawn
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.analysis.intercomparison import drifting
-from bench.analysis.intercomparison.capability import YEAR, capability
+from bench.analysis.intercomparison import capability as drifting
+from bench.analysis.intercomparison.capability import YEAR, Within, apart, capability, histories
 from bench.analysis.intercomparison.crossed import EXCESS, Crossing, fit
-from bench.analysis.intercomparison.drifting import Within, apart, histories
 from benchmarks.capability_honesty import laboratory
 
 VARIANCES = np.array([0.8, 0.5, 0.3, 0.7])

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.analysis.calibration.same_meters import METERS_DRIFT
-from bench.analysis.history.comparison import Snapshot
-from bench.analysis.history.joint import joint_covariances, joint_of
-from bench.analysis.intercomparison.equivalence import Participants, equivalence, pairs
-from bench.analysis.intercomparison.together import together
+from bench.analysis.calibration.known import METERS_DRIFT
+from bench.analysis.history.comparison import Snapshot, joint_covariances, joint_of
+from bench.analysis.intercomparison.equivalence import Participants, equivalence, pairs, together
 
 UNIT = np.array([0, 0, 0, 1, 1, 1, 2, 2])
 BENCH = np.array([0, 1, 2, 0, 1, 2, 0, 1])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.analysis.learning.meters import (
+from bench.analysis.learning.result import (
     NOT_EXCHANGED,
     ONE_METER,
     TOO_FEW,

@@ -6,10 +6,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from bench.analysis.planning.exchange import ExchangeDesign, best_of
-from bench.analysis.planning.goals import (
-    vector_goal,
-)
+from bench.analysis.planning.optimal_design import ExchangeDesign, best_of, vector_goal
 from tests.support.paper_bench import U0, K, specific_force
 from tests.support.planning_bench import PAPER, SIZES, STAND, sites
 

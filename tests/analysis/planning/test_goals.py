@@ -5,7 +5,7 @@ import pytest
 
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.calibration.verification import modulus_slopes
-from bench.analysis.planning.goals import (
+from bench.analysis.planning.optimal_design import (
     Goal,
     coefficient_goals,
     delta_g_goals,

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration import CalibrationError, calibrate
-from bench.analysis.planning.exchange import best_of, fewest, least_settings, widening
-from bench.analysis.planning.goals import (
+from bench.analysis.planning.optimal_design import (
+    best_of,
     coefficient_goals,
+    fewest,
+    least_settings,
     vector_goal,
+    widening,
 )
 from bench.analysis.planning.points import best_within, cheapest, passes
 from bench.readings.table import make_readings

@@ -8,14 +8,12 @@ from bench.analysis.budget.whole import delta_g_covariance, sign
 from bench.analysis.calibration import calibrate
 from bench.analysis.calibration.noise import LEAST_REPEATS
 from bench.analysis.calibration.result import Noise
-from bench.analysis.planning.exchange import widening
-from bench.analysis.planning.goals import coefficient_goals
+from bench.analysis.planning.optimal_design import coefficient_goals, widening
 from bench.analysis.planning.settings import conditions_of, fitted, settings_of
 from bench.analysis.planning.stand import checks_of, repeats
 from bench.api.points import delta_g_of, stand_of
 from bench.files.bench.file import load_bench
-from bench.files.bench.stand import AngleError
-from bench.files.bench.uncertainty import TemperatureError
+from bench.files.bench.stand import AngleError, TemperatureError
 from bench.files.shipped import find_bench, find_procedure
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS

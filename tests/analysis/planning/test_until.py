@@ -6,14 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.analysis.planning.goals import coefficient_goals
-from bench.analysis.planning.until.aim import Reached
-from bench.analysis.planning.until.apart import telling_apart
-from bench.analysis.planning.until.choice import REACHED, TIME, USED_UP, Standing
+from bench.analysis.planning.optimal_design import coefficient_goals
+from bench.analysis.planning.until.choice import (
+    REACHED,
+    TIME,
+    USED_UP,
+    Scale,
+    Standing,
+    scale_of,
+    telling_apart,
+)
 from bench.analysis.planning.until.design import Visits
-from bench.analysis.planning.until.noise import Scale, scale_of
 from bench.analysis.planning.until.outlook import time_outlook
-from bench.analysis.planning.until.pool import pool_of
+from bench.analysis.planning.until.pool import Reached, pool_of
 from bench.api.errors import Refused
 from bench.api.points import stand_of
 from bench.api.until import chooser_of

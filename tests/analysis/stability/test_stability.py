@@ -8,9 +8,14 @@ import pytest
 from scipy import stats
 
 from bench.analysis.calibration import CalibrationError
-from bench.analysis.stability.advice import averaging, reading_advice
-from bench.analysis.stability.allan import allan_curve
-from bench.analysis.stability.noise_terms import TERMS, NoiseTerms, fit_terms
+from bench.analysis.stability.noise_terms import (
+    TERMS,
+    NoiseTerms,
+    allan_curve,
+    averaging,
+    fit_terms,
+    reading_advice,
+)
 from bench.analysis.stability.static_record import from_columns, read_static
 from bench.readings.csv import ReadingsError
 

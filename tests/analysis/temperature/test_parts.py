@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from bench.analysis.calibration.result import Noise
-from bench.analysis.temperature.fit import ThermalFit
+from bench.analysis.temperature.fit import ThermalFit, choose_degrees, held_at_zero
 from bench.analysis.temperature.plateaus import separate_temperatures, sort_readings
-from bench.analysis.temperature.selection import choose_degrees, held_at_zero
 from bench.readings.table import make_readings
 from tests.support.thermal_bench import CYCLE_C, simulate, truth
 

@@ -10,8 +10,7 @@ import pytest
 
 from bench.analysis.calibration import CalibrationError
 from bench.analysis.temperature.estimate import temperature_model
-from bench.analysis.temperature.table import inverse_entries, make_table
-from bench.analysis.temperature.table_files import c_header, table_csv, table_json
+from bench.analysis.temperature.table import c_header, inverse_entries, make_table, table_csv, table_json
 from tests.support.paper_bench import STAND_U
 from tests.support.thermal_bench import MODEL, simulate, truth
 

@@ -9,8 +9,7 @@ from bench.analysis.budget.sources import assumed_stand
 from bench.analysis.budget.whole import sign
 from bench.analysis.calibration import calibrate
 from bench.analysis.calibration.derived import misalignments
-from bench.analysis.tumble.view import tumble_view
-from bench.analysis.tumble.whole import combine
+from bench.analysis.tumble.view import combine, tumble_view
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.model import ForwardModel

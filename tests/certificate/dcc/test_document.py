@@ -16,7 +16,7 @@ from bench.certificate.dcc.nodes import NAMESPACES
 from bench.certificate.dcc.results import region_factor
 from bench.certificate.dcc.rules import broken_rules
 from bench.certificate.paper import proof
-from bench.certificate.paper.blocks import Writer
+from bench.certificate.paper.proof import Writer
 from tests.support.certificates import ORDER
 
 
@@ -202,7 +202,7 @@ def test_an_amendment_names_the_one_before(issued_certificate):
 
 
 def test_what_an_adjustment_changed_stands_beside_it(issued_certificate):
-    from bench.certificate.order import Adjusted
+    from bench.certificate.laboratory import Adjusted
 
     unit = issued_certificate.unit.model_copy(
         update={"state": "as left", "adjusted": Adjusted(what="trimmed")}

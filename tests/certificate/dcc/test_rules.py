@@ -4,8 +4,7 @@ import pytest
 
 from bench.api.errors import Refused
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.rules import broken_rules
-from bench.certificate.dcc.schema import read_schemas
+from bench.certificate.dcc.rules import broken_rules, read_schemas
 
 SCHEMA = (
     '<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" version="{}" targetNamespace="{}" {}</xs:schema>'

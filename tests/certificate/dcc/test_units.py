@@ -2,7 +2,7 @@ r"""Units of D-SI: written, multiplied, read."""
 
 import pytest
 
-from bench.certificate.dcc.units import VOLT_PER_MS2, product, read_unit
+from bench.certificate.dcc.nodes import VOLT_PER_MS2, product, read_unit
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,10 @@ import pytest
 from bench.api.errors import Refused
 from bench.certificate.content import Before, Issue, Item
 from bench.certificate.gather import certificate_of
-from bench.certificate.laboratory import Person, load_laboratory
-from bench.certificate.order import load_order
-from bench.certificate.paper.body import body_of
+from bench.certificate.laboratory import Person, load_laboratory, load_order
 from bench.certificate.paper.check import faults_of
-from bench.certificate.signature.pades import check_pdf, sign_pdf
+from bench.certificate.paper.page import body_of
+from bench.certificate.signature.xades import check_pdf, sign_pdf
 from bench.certificate.texts import texts_of
 from tests.support.certificates import ORDER, copy_run, write_files
 from tests.support.signed import NOW, a_signatory

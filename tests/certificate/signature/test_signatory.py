@@ -11,15 +11,14 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from bench.api.errors import Refused
-from bench.certificate.signature.pades import check_pdf, sign_pdf
 from bench.certificate.signature.signatory import (
     certificates_in,
     fingerprint_of,
     new_certificate_key,
     signatory_of,
+    why_not_trusted,
 )
-from bench.certificate.signature.trust import why_not_trusted
-from bench.certificate.signature.xades import check_xml, sign_xml
+from bench.certificate.signature.xades import check_pdf, check_xml, sign_pdf, sign_xml
 from bench.run.manifest import RecordError
 from tests.support.signed import NOW, authority, blank_pdf, certified, in_file, no_passphrase
 

@@ -24,7 +24,7 @@ from drivers.wire.replay import Deviation, Replay, WireLogError, exchanges, main
 from drivers.wire.visa import MessageSession
 from drivers.zaber.driver import ZaberHead
 from sim.agilent_34401a.meter import Agilent34401A as SimulatedMeter
-from sim.world.inputs import Terminals
+from sim.world.world import Terminals
 from tests.drivers.wire.test_faulty_wire import CHAMBERS, DEG, HEADS, at_random, dialect
 from tests.support.scripted_session import ScriptedSession
 from tests.support.simulated_stand import a_world, served

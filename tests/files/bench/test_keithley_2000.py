@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from bench.assembly.simulated import on_terminals
+from bench.assembly.instruments import on_terminals
 from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench

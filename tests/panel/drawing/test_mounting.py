@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation, specific_force_on_platform
-from bench.panel.drawing.mounting import in_words, mounting, turn
+from bench.panel.mounting_drawing import in_words, mounting, turn
 
 TURNED = Installation.from_axes("1 turned", ("x", "y", "z"), math.pi)
 CASES = [

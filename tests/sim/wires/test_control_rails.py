@@ -11,7 +11,7 @@ from bench.model.geometry import INSTALLATION_1
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl
 from sim.world.clock import VirtualClock
-from sim.world.rails import PowerSettings, Rail
+from sim.world.power import PowerSettings, Rail
 from sim.world.world import World, WorldSettings
 
 

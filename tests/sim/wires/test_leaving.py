@@ -7,7 +7,7 @@ import pytest
 
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1
-from sim.agilent_34401a import cycle
+from sim.agilent_34401a import line
 from sim.bench import SimulatedBench, SimulatedMeter
 from sim.keithley_2000 import Keithley2000
 from sim.world.clock import ScaledClock
@@ -39,26 +39,26 @@ def port(ports):
 @pytest.fixture
 def waited_for(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """Is set as soon as a message waits for a measurement."""
-    waits, wait_until = threading.Event(), cycle.wait_until
+    waits, wait_until = threading.Event(), line.wait_until
 
     def seen(*given):
         waits.set()
         return wait_until(*given)
 
-    monkeypatch.setattr(cycle, "wait_until", seen)
+    monkeypatch.setattr(line, "wait_until", seen)
     return waits
 
 
 @pytest.fixture
 def begun(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """Is set as soon as a measurement is under way."""
-    begins, measures_until = threading.Event(), cycle.MeasuringCycle._measures_until
+    begins, measures_until = threading.Event(), line.MeasuringCycle._measures_until
 
     def seen(*given):
         measures_until(*given)
         begins.set()
 
-    monkeypatch.setattr(cycle.MeasuringCycle, "_measures_until", seen)
+    monkeypatch.setattr(line.MeasuringCycle, "_measures_until", seen)
     return begins
 
 

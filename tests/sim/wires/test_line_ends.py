@@ -14,7 +14,7 @@ from bench.model.geometry import INSTALLATION_1
 from drivers.wire.visa import MessageSession
 from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
-from sim.wires.pty import TERMINALS
+from sim.wires.server import TERMINALS
 from sim.wires.session import Framer, LineEnds
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings

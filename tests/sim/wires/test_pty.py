@@ -23,7 +23,7 @@ from drivers.interfaces import VoltmeterSettings
 from drivers.wire.visa import MessageSession
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench
-from sim.wires.pty import TERMINALS, TerminalServer
+from sim.wires.server import TERMINALS, TerminalServer
 from sim.wires.session import ServedInstrument
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
@@ -211,7 +211,7 @@ def test_without_the_modules_of_a_terminal_everything_still_imports() -> None:
         "import os, sys\n"
         "for name in ('pty', 'tty', 'termios', 'fcntl'): sys.modules[name] = None\n"
         "del os.openpty\n"
-        "import sim.bench, sim.wires.pty, sim.wires.control\n"
-        "assert not sim.wires.pty.TERMINALS\n"
+        "import sim.bench, sim.wires.server, sim.wires.control\n"
+        "assert not sim.wires.server.TERMINALS\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=PATIENCE_S)  # noqa: S603 - our own program

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from sim.world.clock import VirtualClock
-from sim.world.heat import Heat
-from sim.world.turning import HeadFault
-from sim.world.world import World, WorldSettings
+from sim.world.pose import HeadFault
+from sim.world.world import Heat, World, WorldSettings
 from tests.support.simulated_stand import a_world
 
 DEG = math.pi / 180

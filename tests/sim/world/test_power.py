@@ -8,7 +8,7 @@ import pytest
 from bench.model import CATALOGUE, AppliedEffect, Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from sim.world.clock import VirtualClock
-from sim.world.rails import Disturbance, PowerSettings, Rail
+from sim.world.power import Disturbance, PowerSettings, Rail
 from sim.world.world import World, WorldSettings
 
 BLOCK = Block(np.diag([-2.2, -2.1, -2.15]), np.array([0.07, -0.2, -0.41]))

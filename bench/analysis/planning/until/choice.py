@@ -1,27 +1,83 @@
-"""What is done next and why, or why nothing more is: a pure function of what the record says.
-
-The goals, the least number of repeats and the rule stand before the run. Verification points are not looked at. A
-mounting that is left before others is left for good, so that enough is measured on it for noise that is larger than
-the estimate (`Scale.bound`); in the last one the estimate alone counts.
-"""
+"""What is measured next and why, or why nothing more is: a pure function of the record."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import gammaincinv
 
-from bench.analysis.calibration.noise import LEAST_REPEATS
-from bench.analysis.planning.stand import Stand
-from bench.analysis.planning.until.aim import NO_GOAL, Aim, Reached
+from bench.analysis.calibration.design import FIXED
+from bench.analysis.calibration.design import make_problem as problem_of
+from bench.analysis.calibration.noise import LEAST_REPEATS, whiten
+from bench.analysis.planning.settings import Setting, conditions_of
+from bench.analysis.planning.stand import Stand, whitened
 from bench.analysis.planning.until.design import Design, Grid, Task, Visits, enough
-from bench.analysis.planning.until.noise import NOTHING_KNOWN, Scale
-from bench.analysis.planning.until.pool import Point, Pool, Site
+from bench.analysis.planning.until.pool import NO_GOAL, Aim, Point, Pool, Reached, Site
 from bench.base.arrays import Floats, Ints
-from bench.model import Mounting
+from bench.model.conditions import Mounting
+from bench.model.effects import AppliedEffect, Effect
+from bench.readings.table import Readings
+
+BELIEVED: Final = 6.0
+"""What the bench file states of the noise counts as so many signals: little, and enough before there is any."""
+
+SURE: Final = 0.8
+"""A mounting is left for good with visits that are enough at noise which is larger with a probability of 1
+- SURE."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The noise in units of what the bench file states: `chi2` of `dof` signals beyond the unknowns."""
+
+    chi2: float = 0.0
+    dof: int = 0
+
+    @property
+    def size(self) -> float:
+        """The estimate, with the bench file's word."""
+        return float(np.sqrt((BELIEVED + self.chi2) / (BELIEVED + self.dof)))
+
+    @property
+    def bound(self) -> float:
+        """What the noise is below with the probability `SURE`."""
+        freedom = BELIEVED + self.dof
+        return float(self.size * np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - SURE))))
+
+
+NOTHING_KNOWN: Final = Scale()
+"""Before there is a reading: what the bench file states."""
+
+
+def scale_of(stand: Stand, readings: Readings) -> Scale:
+    """Return the noise that readings tell, with what is unknown of block and stand taken out.
+
+    They need not determine the coefficients: one mounting tells of the noise, too.
+    """
+    own = readings.oriented()
+    if not len(own):
+        return Scale()
+    rows, problem = whitened(stand, own.conditions())
+    left = own.signal - problem.predict(stand.block, problem.prior_mean)
+    response = whitened_response(stand, left, problem.slope(stand.block, problem.prior_mean))
+    matrix = rows.reshape(-1, rows.shape[2])
+    prior = np.eye(rows.shape[2])[FIXED:]
+    whole = np.vstack([matrix, prior])
+    target = np.concatenate([response.ravel(), np.zeros(len(prior))])
+    solution = np.linalg.lstsq(whole, target, rcond=1e-9)[0]
+    misfit = target - whole @ solution
+    rank = int(np.linalg.matrix_rank(matrix[:, :FIXED], tol=1e-9 * float(np.linalg.norm(matrix))))
+    return Scale(float(misfit @ misfit), max(matrix.shape[0] - rank, 0))
+
+
+def whitened_response(stand: Stand, left: Floats, slope: Floats) -> Floats:
+    """Return residuals (n, 3) in units of the noise, as the derivatives are."""
+    return np.asarray(whiten(left[:, :, None], slope, stand.noise)[:, :, 0])
+
 
 REACHED: Final = "reached"
 USED_UP: Final = "used up"
@@ -344,3 +400,48 @@ class Chooser:
             self._rest_s(standing),
             not_needed=self.pool.count - sum(standing.done.values()),
         )
+
+
+MOST: Final = 4
+"""So many settings are chosen for this at a look."""
+WORTH: Final = 0.5
+"""A setting that tells less than this part of what the first one does is left."""
+
+
+def telling_apart(
+    stand: Stand, done: Sequence[Setting], candidates: Sequence[Setting], effects: Sequence[Effect]
+) -> list[int]:
+    """Return the numbers of the candidates that tell most of the effects after readings at `done`, best first."""
+    model = replace(stand.model, effects=tuple(AppliedEffect(effect, {}) for effect in effects))
+    problem = problem_of(model, conditions_of([*done, *candidates]), stand.sizes)
+    linear = problem.linear(stand.block, problem.prior_mean)
+    plausible = [problem.parameter(unknown).plausible for unknown in problem.effects]
+    stated = [unknown.prior_u for unknown in problem.stand]
+    rows = whiten(linear.jacobian, linear.slope, stand.noise) * np.array(
+        [*[1.0] * FIXED, *stated, *plausible]
+    )
+    known = FIXED + len(stated)
+    shown = np.isfinite(rows).all(axis=(0, 1))  # what hangs on a temperature that nobody knows is not
+    rows = rows[:, :, shown | (np.arange(rows.shape[2]) < known)]
+    every = np.eye(rows.shape[2]) + np.einsum("nip,niq->pq", rows[: len(done)], rows[: len(done)])
+    chosen: list[int] = []
+    first = 0.0
+    while len(chosen) < min(MOST, len(candidates)):
+        told = _told_apart(every, rows[len(done) :], known)
+        told[chosen] = -np.inf
+        best = int(np.argmax(told))
+        first = first or float(told[best])
+        if told[best] <= WORTH * first and chosen:
+            break
+        chosen.append(best)
+        every += rows[len(done) + best].T @ rows[len(done) + best]
+    return chosen
+
+
+def _told_apart(information: Floats, rows: Floats, known: int) -> Floats:
+    """What each of rows (c, 3, p) tells of the unknowns from `known` on, those before being free, (c,)."""
+    of_all = rows @ np.linalg.solve(information, np.swapaxes(rows, 1, 2))
+    own = rows[:, :, :known]
+    of_known = own @ np.linalg.solve(information[:known, :known], np.swapaxes(own, 1, 2))
+    one = np.eye(3)
+    return np.asarray(np.linalg.slogdet(one + of_all)[1] - np.linalg.slogdet(one + of_known)[1])

@@ -15,8 +15,7 @@ import numpy as np
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.noise import LEAST_REPEATS
-from bench.analysis.planning.exchange import ExchangeDesign, SettingPool, widening
-from bench.analysis.planning.goals import Goal
+from bench.analysis.planning.optimal_design import ExchangeDesign, Goal, SettingPool, widening
 from bench.analysis.planning.settings import conditions_of
 from bench.analysis.planning.stand import Stand, whitened
 from bench.analysis.planning.until.pool import Site

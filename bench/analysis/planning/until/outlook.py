@@ -14,11 +14,9 @@ import numpy as np
 
 from bench.analysis.calibration.design import FIXED
 from bench.analysis.calibration.noise import LEAST_REPEATS
-from bench.analysis.planning.until.aim import NO_GOAL, Reached
-from bench.analysis.planning.until.choice import REACHED, Choice, Chooser, Standing
+from bench.analysis.planning.until.choice import BELIEVED, REACHED, Choice, Chooser, Scale, Standing
 from bench.analysis.planning.until.design import Visits
-from bench.analysis.planning.until.noise import BELIEVED, Scale
-from bench.analysis.planning.until.pool import Site
+from bench.analysis.planning.until.pool import NO_GOAL, Reached, Site
 from bench.base.arrays import Floats
 
 DRAWS: Final = 100

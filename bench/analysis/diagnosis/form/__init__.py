@@ -1,1 +1,0 @@
-"""What has no name gets a form: the few terms of a dictionary that describe it, and where the scatter is larger."""

@@ -1,0 +1,72 @@
+"""Long computations: their progress, their threads, the collector kept from what it cannot free."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Callable, Iterable, Iterator, Sized
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Final, TypeVar
+
+Listener = Callable[[str, int, int], None]
+"""Is told what is computed, how many of its parts are done, and how many there are."""
+
+quiet: ContextVar[bool] = ContextVar("quiet", default=False)
+"""Whether progress and notes are to be silent, as `--quiet` asks; results, questions and errors never are."""
+
+_T = TypeVar("_T")
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
+
+
+@contextmanager
+def heard_by(listener: Listener | None) -> Iterator[None]:
+    """Tell a listener of all that is `tracked` while the context lasts; None: nobody."""
+    before = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(before)
+
+
+def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterator[_T]:
+    """Yield the parts of a computation and tell how many are done; of a single part there is nothing to tell.
+
+    `total` says how many there are, where `parts` have no length.
+    """
+    count = len(parts) if isinstance(parts, Sized) else total or 0
+    listener = _listener.get() if count > 1 else None
+    for done, part in enumerate(parts):
+        if listener is not None:
+            listener(what, done, count)
+        yield part
+    if listener is not None:
+        listener(what, count, count)
+
+
+THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Where these libraries look for the number of their threads."""
+
+
+def one_thread() -> None:
+    """Let linear algebra have one thread, where nobody said how many: of small matrices they wait for one another.
+
+    To be said before numpy is imported.
+    """
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Hold the collector while many small objects are made and kept, all of which it would go through every time.
+
+    What no cycle holds is freed as ever. As a decorator it holds the collector for a function.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

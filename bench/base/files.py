@@ -1,0 +1,126 @@
+"""Files: read without waiting for what may never come; JSON read fast; the user's cache folder."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any, BinaryIO, Final, Literal, NoReturn
+
+from pydantic_core import from_json
+
+MEGABYTE: Final = 1_000_000
+
+_KINDS: Final = (
+    (stat.S_ISDIR, "this is a folder; name a file in it"),
+    (stat.S_ISFIFO, "this is a pipe, not a file"),
+    (stat.S_ISSOCK, "this is a socket, not a file"),
+    (stat.S_ISCHR, "this is a device, not a file"),
+    (stat.S_ISBLK, "this is a device, not a file"),
+)
+_CHUNK: Final = 65_536
+_AT_ONCE: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+
+
+def _at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+
+
+def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
+    """Open a regular file to read it, or to append to it unbuffered; nothing else is opened or waited for.
+
+    Raises `OSError` whose `strerror` says why not: what it is instead.
+    """
+    try:
+        if mode == "rb" or path.exists():
+            _check(path, path.stat().st_mode)  # before it is opened: opening a device may do something
+        file = open(path, mode, buffering=0 if mode == "ab" else -1, opener=_at_once)  # noqa: SIM115
+    except ValueError:  # a character that no name of a file can have
+        raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
+    try:
+        _check(path, os.fstat(file.fileno()).st_mode)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
+    """Return the content of a regular file; nothing else is opened, and nothing is waited for.
+
+    Raises `OSError` whose `strerror` says why not: what it is instead, or that it is too large.
+    """
+    with open_regular(path) as file:
+        content = file.read() if most_bytes is None else file.read(most_bytes + 1)
+    if most_bytes is not None and len(content) > most_bytes:
+        size = f"{most_bytes / MEGABYTE:g} MB"
+        raise OSError(errno.EFBIG, f"it has more than {size}", str(path))
+    return content
+
+
+def read_given(path: Path) -> bytes:
+    """Return the content of a file that a person named, of the standard input, or of a pipe that is written to.
+
+    A pipe can be read once. Raises `OSError` whose `strerror` says why not: what it is instead, or that nobody
+    writes to it, which is not waited for.
+    """
+    try:
+        about = path.stat()
+    except ValueError:  # a character that no name of a file can have
+        raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
+    if stat.S_ISFIFO(about.st_mode):
+        return _from_pipe(path)
+    if not _is_standard_input(about):
+        _check(path, about.st_mode)
+    return path.read_bytes()
+
+
+def _from_pipe(path: Path) -> bytes:
+    descriptor = os.open(path, _AT_ONCE)
+    with os.fdopen(descriptor, "rb", buffering=0) as pipe:
+        try:
+            begun = os.read(descriptor, _CHUNK)
+        except BlockingIOError:  # somebody has it open and writes in their own time
+            begun = None
+        if begun == b"":
+            raise OSError(errno.EPIPE, "this is a pipe to which nobody writes", str(path))
+        os.set_blocking(descriptor, True)
+        return (begun or b"") + pipe.read()
+
+
+def _is_standard_input(about: os.stat_result) -> bool:
+    try:
+        return os.path.samestat(about, os.fstat(0))
+    except OSError:  # there is none
+        return False
+
+
+def _check(path: Path, mode: int) -> None:
+    for is_one, text in _KINDS:
+        if is_one(mode):
+            kind = IsADirectoryError if is_one is stat.S_ISDIR else OSError
+            raise kind(errno.EISDIR if kind is IsADirectoryError else errno.EINVAL, text, str(path))
+
+
+def cache_folder(part: str) -> Path:
+    """Return the folder of a part of the cache; it need not exist yet."""
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("triaxial-bench")) / part
+
+
+def read_json(content: bytes) -> Any:
+    """Return what a text in UTF-8 says. Raises `ValueError` for what is no JSON, as NaN and Infinity are none."""
+    try:
+        return from_json(content, allow_inf_nan=False)
+    except ValueError:
+        return _DECODER.decode(content.decode())  # it takes more, such as half of a surrogate pair
+
+
+def _no_number(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+_DECODER: Final = json.JSONDecoder(parse_constant=_no_number)

@@ -1,0 +1,353 @@
+"""Access to the panel: persons, roles, tokens, links, sessions; what a request must have."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+from filelock import FileLock
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from bench.base.atomic_files import from_text, to_text, write_whole
+from bench.base.files import read_regular
+from bench.base.visible import visible
+from bench.panel.settings import Settings
+from bench.run.manifest import RecordError
+from drivers.clock import utc_now
+
+
+class Role(StrEnum):
+    """What a person may: look and stop; move and answer as well; take control by force as well."""
+
+    VIEWER = "viewer"
+    OPERATOR = "operator"
+    SUPERVISOR = "supervisor"
+
+    def includes(self, other: Role) -> bool:
+        """Whether it may all that another role may."""
+        order = list(Role)
+        return order.index(self) >= order.index(other)
+
+
+@dataclass(frozen=True)
+class Person:
+    """Somebody signed in: name, role, and the secret of the session, which only the browser has."""
+
+    name: str
+    role: Role
+    secret: str = ""
+
+    @property
+    def csrf(self) -> str:
+        """What every form of this session carries, and no other page can know."""
+        return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
+
+
+class Refusal(Exception):
+    """A request that is refused: HTTP status and one sentence."""
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        self.status, self.text = status, text
+
+
+LARGEST_BODY: Final = 65_536
+METHODS: Final = frozenset({"GET", "HEAD", "POST"})
+POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "font-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
+)
+HEADERS: Final = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "same-origin",  # with none at all a browser tells the origin of a form as "null"
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+class Gate:
+    """Refuses what no browser of a person at this panel sends; counts what a body brings as it comes."""
+
+    def __init__(
+        self, app: ASGIApp, settings: Settings, refuse: Callable[[Request, Refusal], Response]
+    ) -> None:
+        self._app, self._settings, self._refuse = app, settings, refuse
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or answer with why it is refused."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        if (refusal := self._refused(scope)) is not None:
+            await self._refuse(Request(scope), refusal)(scope, receive, with_headers)
+            return
+        taken = counted(receive) if scope["method"] == "POST" else without_body(receive)
+        await self._app(scope, taken, with_headers)
+
+    def _refused(self, scope: Scope) -> Refusal | None:
+        """Return why a request is refused by its head alone."""
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
+            return Refusal(403, f"this panel is at {self._settings.url}")
+        if scope["method"] not in METHODS:
+            return Refusal(405, "the panel knows GET and POST")
+        if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
+            return Refusal(403, "this change was asked for by a page that is not the panel's")
+        length = headers.get("content-length", "0")
+        if "content-length" in headers and "transfer-encoding" in headers:
+            return Refusal(400, "a request has Content-Length or Transfer-Encoding, not both")
+        if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
+            return Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
+        return None
+
+
+def counted(receive: Receive) -> Receive:
+    """Return a receiver that raises `Refusal` once a body is larger than is taken."""
+    taken = 0
+
+    async def bounded() -> Message:
+        nonlocal taken
+        message = await receive()
+        taken += len(message.get("body", b""))
+        if taken > LARGEST_BODY:
+            raise Refusal(413, f"at most {LARGEST_BODY} bytes are taken")
+        return message
+
+    return bounded
+
+
+def without_body(receive: Receive) -> Receive:
+    """Return a receiver that drops a body: no page that is looked at reads one.
+
+    A stream, which waits for its client to go away, would meet it when its answer has begun: too late to refuse.
+    """
+
+    async def dropped() -> Message:
+        message = await receive()
+        return {**message, "body": b""} if message["type"] == "http.request" else message
+
+    return dropped
+
+
+def private_folder(folder: Path) -> Path:
+    """Return a folder that is its owner's alone (0700), made where there is none. Raises `RecordError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        found = folder.lstat()
+        if not stat.S_ISDIR(found.st_mode):
+            raise RecordError(f"{folder}: is a link, and the panel keeps its secrets in a folder; remove it")
+        if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
+            folder.chmod(0o700)
+    except OSError as error:
+        raise RecordError(
+            f"{folder}: cannot be used ({error.strerror}); choose another folder of runs"
+        ) from error
+    return folder
+
+
+class KeptList:
+    """A list of JSON objects in a file; several programs may change it, one after the other."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._path = folder / name
+        self._lock = FileLock(folder / f"{name}.lock", mode=0o600)
+        self._stamp: tuple[int, int, int] | None = None
+        self._rows: list[dict[str, Any]] = []
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows, read anew where the file was written since. Raises `RecordError` for a damaged file."""
+        try:
+            found = self._path.stat()
+            stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
+            if stamp != self._stamp:
+                rows = from_text(read_regular(self._path))
+                if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                    raise ValueError
+                self._rows, self._stamp = rows, stamp
+        except FileNotFoundError:
+            self._rows, self._stamp = [], None
+        except (OSError, ValueError) as error:
+            raise RecordError(
+                f"{self._path}: cannot be read; put a copy in its place, or remove it and make new tokens"
+            ) from error
+        return list(self._rows)
+
+    @contextmanager
+    def changed(self) -> Iterator[list[dict[str, Any]]]:
+        """Give the rows to be changed in place; they are written when the block ends. Raises `RecordError`."""
+        try:
+            with self._lock:
+                rows = self.rows()
+                before = json.dumps(rows)
+                yield rows
+                if json.dumps(rows) != before:
+                    write_whole(self._path, to_text(rows))
+                    self._path.chmod(0o600)
+        except OSError as error:
+            raise RecordError(f"{self._path}: cannot be written ({error.strerror}); free the disk") from error
+
+
+TOKENS: Final = "tokens.json"
+LINKS: Final = "links.json"
+SESSIONS: Final = "sessions.json"
+LONGEST_SESSION: Final = timedelta(days=7)
+LONGEST_LINK: Final = timedelta(minutes=30)
+MOST_SESSIONS: Final = 20
+"""Sessions of one person; the oldest ends when another begins."""
+MOST_LINKS: Final = 50
+LONGEST_NAME: Final = 60
+
+
+class Access:
+    """Who may come in. What it knows stands in files of a folder that is its owner's alone."""
+
+    def __init__(self, folder: Path, now: Callable[[], datetime] = utc_now) -> None:
+        private_folder(folder)
+        self._tokens = KeptList(folder, TOKENS)
+        self._links = KeptList(folder, LINKS)
+        self._sessions = KeptList(folder, SESSIONS)
+        self._now = now
+
+    # --- tokens -------------------------------------------------------------------------------------
+
+    def new_token(self, name: str, role: Role) -> str:
+        """Make a person's token and return it, this once. Raises `RecordError` for a name that has one."""
+        name = checked_person(name)
+        token = secrets.token_urlsafe(32)
+        with self._tokens.changed() as rows:
+            if any(row["name"] == name for row in rows):
+                raise RecordError(f"{name}: has a token already; 'bench panel revoke {name}' first")
+            rows.append(
+                {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}
+            )
+        return token
+
+    def tokens(self) -> list[dict[str, Any]]:
+        """Return name, role and time of making of each token."""
+        return [{key: row[key] for key in ("name", "role", "made")} for row in self._tokens.rows()]
+
+    def revoke(self, name: str) -> None:
+        """Forget a person's token; its sessions end with it. Raises `RecordError` where there is none."""
+        with self._tokens.changed() as rows:
+            kept = [row for row in rows if row["name"] != name]
+            if len(kept) == len(rows):
+                there = ", ".join(str(row["name"]) for row in rows) or "none"
+                raise RecordError(f"{name}: has no token; there are tokens of: {there}")
+            rows[:] = kept
+
+    # --- one-time links -----------------------------------------------------------------------------
+
+    def new_link(self, name: str) -> str:
+        """Make the secret of a link that signs an operator in, once, within half an hour."""
+        link = secrets.token_urlsafe(32)
+        with self._links.changed() as rows:
+            rows.append({"name": name, "sha256": _hash(link), "made": self._now().isoformat()})
+            rows[:] = [row for row in rows if not self._older(row, LONGEST_LINK)][-MOST_LINKS:]
+        return link
+
+    def sign_in_by_link(self, link: str) -> Person | None:
+        """Take a link's secret and return who is signed in by it, None where it is used up, too old or none."""
+        digest = _hash(link)
+        # looked at before the file is locked: what strangers guess must not make anybody wait
+        if not any(row["sha256"] == digest for row in self._links.rows()):
+            return None
+        with self._links.changed() as rows:
+            found = [row for row in rows if row["sha256"] == digest and not self._older(row, LONGEST_LINK)]
+            rows[:] = [row for row in rows if row["sha256"] != digest]
+        if not found:
+            return None
+        return self._new_session(str(found[0]["name"]), Role.OPERATOR, "")
+
+    # --- sessions -----------------------------------------------------------------------------------
+
+    def sign_in_by_token(self, token: str) -> Person | None:
+        """Return who is signed in by a token, None where it is nobody's."""
+        digest = _hash(token)
+        for row in self._tokens.rows():
+            if secrets.compare_digest(str(row["sha256"]), digest):
+                return self._new_session(str(row["name"]), Role(row["role"]), digest)
+        return None
+
+    def _new_session(self, name: str, role: Role, token: str) -> Person:
+        secret = secrets.token_urlsafe(32)
+        row = {
+            "name": name,
+            "role": role.value,
+            "sha256": _hash(secret),
+            "token": token,
+            "made": self._now().isoformat(),
+        }
+        with self._sessions.changed() as rows:
+            kept = [row for row in rows if not self._older(row, LONGEST_SESSION)]
+            own = [row for row in kept if (row["name"], row["token"]) == (name, token)]
+            for oldest in own[: max(0, len(own) + 1 - MOST_SESSIONS)]:
+                kept.remove(oldest)
+            rows[:] = [*kept, row]
+        return Person(name, role, secret)
+
+    def person(self, secret: str) -> Person | None:
+        """Return whose session a cookie's secret is, None where it is none, too old, or its token was revoked."""
+        if not secret:
+            return None
+        digest = _hash(secret)
+        for row in self._sessions.rows():
+            if row["sha256"] == digest and not self._older(row, LONGEST_SESSION):
+                return self._of_session(row, secret)
+        return None
+
+    def _of_session(self, row: dict[str, Any], secret: str) -> Person | None:
+        if not row["token"]:
+            return Person(str(row["name"]), Role(row["role"]), secret)
+        for token in self._tokens.rows():
+            if token["sha256"] == row["token"]:
+                return Person(str(token["name"]), Role(token["role"]), secret)
+        return None
+
+    def sign_out(self, secret: str) -> None:
+        """End a session."""
+        digest = _hash(secret)
+        with self._sessions.changed() as rows:
+            rows[:] = [row for row in rows if row["sha256"] != digest]
+
+    def _older(self, row: dict[str, Any], than: timedelta) -> bool:
+        return self._now() - datetime.fromisoformat(str(row["made"])) > than
+
+
+def checked_person(name: str) -> str:
+    """Return a person's name. Raises `RecordError` for one that cannot be shown or is too long."""
+    name = name.strip()
+    if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
+        raise RecordError(
+            f"{visible(name)!r}: a name is text that can be printed, of 1 to {LONGEST_NAME} characters"
+        )
+    return name
+
+
+def _hash(secret: str) -> str:
+    """Return the SHA-256 of a secret: 256 random bits, which no slower hash would guard better."""
+    return hashlib.sha256(secret.encode(errors="replace")).hexdigest()

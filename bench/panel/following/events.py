@@ -1,0 +1,247 @@
+"""Events of a run read as they are written, and what they say of it by now."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import SEEK_END
+from pathlib import Path
+from typing import Final
+
+from bench.base.computing import uncollected
+from bench.base.files import open_regular
+from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
+from bench.readings.reading import Reading
+from bench.run.answers import AskedPrompt
+from bench.run.events import CameToRest, Event, EventType, Turned
+from bench.run.history import parse_line
+from bench.run.manifest import EVENTS, RecordError
+from bench.run.resume import Progress
+from bench.run.states import RunState, state_after_one
+
+MOST_LAST: Final = 40
+"""So many of the last events are told."""
+
+MOST_WARNINGS: Final = 20
+
+_STOPPED: Final = frozenset(
+    {EventType.RUN_FINISHED, EventType.RUN_FAILED, EventType.RUN_INTERRUPTED, EventType.RUN_ABORTED}
+)
+
+
+@dataclass
+class Seen:
+    """A run as its events tell it.
+
+    `step` is the one begun and not done yet, with the event of its beginning, `turn` the turn begun last
+    since the block was mounted; `set_c` what the chamber was sent to, °C. What steps brought is made of
+    their events when it is asked for: of a long run that is little of it.
+    """
+
+    plan: Plan
+    state: RunState = RunState.READY
+    progress: Progress = field(default_factory=Progress)
+    events: int = 0
+    latest: Event | None = None
+    step: Event | None = None
+    begun: Event | None = None
+    turn: Event | None = None
+    set_c: float | None = None
+    slow: Event | None = None
+    refused: Event | None = None
+    answered: Event | None = None
+    left_safe: dict[str, str] = field(default_factory=dict)
+    why: str = ""
+    readings_done: int = 0
+    warnings: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_WARNINGS))
+    last: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_LAST))
+    _brought: dict[type[Step], Event] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._kinds: list[type[Step]] = [type(step) for step in self.plan.steps]
+        self.readings_planned = self._kinds.count(Read)
+
+    def take(self, event: Event) -> None:
+        """Take in the next event. Raises `RecordError` for one that cannot be."""
+        try:
+            self._take(event)
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+            raise RecordError(
+                f"event {event.number} of the record cannot follow here ({error}); see 'bench show RUN --verify'"
+            ) from error
+
+    def _take(self, event: Event) -> None:
+        self.state = state_after_one(self.state, event.type)
+        before = len(self.progress.done)
+        self.progress.take(event)
+        self.events, self.latest = event.number, event
+        self.last.append(event)
+        if event.type == EventType.STEP_STARTED:
+            self.step = event
+            self.begun = self.begun or event
+            if self._kinds[event.step] is Turn:
+                self.turn = event
+        elif event.type == EventType.STEP_DONE:
+            self.step = None
+            kind = self._kinds[event.step]
+            self._brought[kind] = event
+            if kind is Read:
+                self.readings_done += len(self.progress.done) > before
+            elif kind is Mount:
+                self.turn = None
+            elif kind is SetTemperature:
+                self.set_c = float(event.data["target_c"])
+        else:
+            self._take_other(event)
+
+    def _take_other(self, event: Event) -> None:
+        match event.type:
+            case EventType.REDO:
+                self.step = None
+                self.readings_done = sum(self._kinds[i] is Read for i in self.progress.done)
+            case EventType.SKIPPED | EventType.STEP_FAILED:
+                self.step = None
+            case EventType.CHOSEN:
+                out = self.progress.left_out
+                self.readings_planned = sum(k is Read and i not in out for i, k in enumerate(self._kinds))
+            case EventType.EARLY_SIGN:
+                self.warnings.append(event)
+            case EventType.CHAMBER_SLOW:
+                self.slow = event
+            case EventType.LEFT_SAFE:
+                self.left_safe = {str(name): str(what) for name, what in event.data["to_do"].items()}
+            case EventType.RUN_RESUMED:
+                self.step, self.begun, self.left_safe, self.why = None, None, {}, ""
+            case EventType.ASKED:
+                self.refused = None
+            case EventType.ANSWERED:
+                self.answered = event
+            case EventType.ANSWER_REFUSED:
+                self.refused = event
+            case _ if event.type in _STOPPED:
+                self.step = None
+                self.why = str(event.data.get("error") or event.data.get("reason") or "")
+
+    @property
+    def prompt(self) -> AskedPrompt | None:
+        """The question that stands."""
+        return self.progress.asked.prompt
+
+    @property
+    def waiting(self) -> tuple[Event, Wait | Settle] | None:
+        """What is being waited for, and since when."""
+        if self.step is None or self.prompt is not None:
+            return None
+        step = self.plan.steps[self.step.step]
+        return (self.step, step) if isinstance(step, Wait | Settle) else None
+
+    @property
+    def taken(self) -> tuple[Event, Reading] | None:
+        """The reading taken last, with its event."""
+        event = self._brought.get(Read)
+        return (event, event.reading) if event is not None and event.reading is not None else None
+
+    @property
+    def turned(self) -> tuple[Event, Turned] | None:
+        """Where the head was turned last, as read back, since the block was mounted."""
+        event, mounted = self._brought.get(Turn), self._brought.get(Mount)
+        if event is None or (mounted is not None and mounted.number > event.number):
+            return None
+        return (event, event.result) if isinstance(event.result, Turned) else None
+
+    @property
+    def rest(self) -> tuple[Settle, CameToRest] | None:
+        """What was waited for last, and how it came to rest."""
+        event = self._brought.get(Settle)
+        if event is None or not isinstance(event.result, CameToRest):
+            return None
+        step = self.plan.steps[event.step]
+        return (step, event.result) if isinstance(step, Settle) else None
+
+    @property
+    def mounted(self) -> Mount | None:
+        """How the block is mounted."""
+        event = self._brought.get(Mount)
+        step = None if event is None else self.plan.steps[event.step]
+        return step if isinstance(step, Mount) else None
+
+    @property
+    def chamber(self) -> tuple[Event, float] | None:
+        """The temperature in the chamber as it was known last, °C, and by which event."""
+        known: list[tuple[Event, float]] = []
+        if self.slow is not None:
+            known.append((self.slow, float(self.slow.data["air_c"])))
+        if self.taken is not None and self.set_c is not None:
+            event, reading = self.taken
+            air_c = reading.temperature_c if reading.chamber_c is None else reading.chamber_c
+            if air_c is not None:
+                known.append((event, air_c))
+        if self.rest is not None and self.rest[0].what == "temperature":
+            known.append((self._brought[Settle], self.rest[1].settled_at[0]))
+        return max(known, key=lambda one: one[0].number, default=None)
+
+
+KEPT_LINES, KEPT_BYTES = 100, 1 << 20
+"""Near its two ends all of a record is read; between them the beginnings of steps tell nothing any more."""
+
+HEAD: Final = 160
+_BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
+"""Stands before everything that a person or an instrument says."""
+
+
+class Tail:
+    """The events of a run from the first on. Half a line waits until it is whole, or cut off."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / EVENTS
+        self._read = 0
+        self._count = 0
+
+    def grown(self) -> bool:
+        """Say whether there is something that was not read yet; a record that was cut back counts as that,
+        too."""
+        try:
+            return self._path.stat().st_size != self._read
+        except OSError:
+            return False
+
+    def new(self) -> Iterator[Event]:
+        """Return the events written since the last call, of a long record without the beginnings of old steps.
+
+        Raises `RecordError` where the record is not one that has only grown.
+        """
+        try:
+            with open_regular(self._path) as file, uncollected():
+                size = file.seek(0, SEEK_END)
+                if size < self._read:
+                    raise RecordError(f"{self._path}: is shorter than it was; another program changed it")
+                file.seek(self._read)
+                for line in file:
+                    if not line.endswith(b"\n"):
+                        return
+                    if self._count > KEPT_LINES and size - self._read > KEPT_BYTES and _BEGUN in line[:HEAD]:
+                        self._count, self._read = self._count + 1, self._read + len(line)
+                        continue
+                    yield self._event(line)
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise RecordError(
+                f"{self._path}: cannot be read ({error.strerror}); see that it is there"
+            ) from error
+
+    def _event(self, line: bytes) -> Event:
+        try:
+            event, _ = parse_line(line)
+        except ValueError as error:
+            raise self._broken() from error
+        if event.number != self._count + 1:
+            raise self._broken()
+        self._count, self._read = event.number, self._read + len(line)
+        return event
+
+    def _broken(self) -> RecordError:
+        return RecordError(
+            f"{self._path}, line {self._count + 1}: cannot be believed; 'bench show RUN --verify' says more"
+        )

@@ -1,0 +1,392 @@
+"""Programs that the panel starts: what may be chosen, checked, run, resumed, diagnosed."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from filelock import FileLock, Timeout
+
+from bench.base.atomic_files import from_text, to_text, write_whole
+from bench.base.files import open_regular, read_regular
+from bench.base.visible import visible
+from bench.files.shipped import CONFIG, PROCEDURES, shipped_folder
+from bench.panel.access import Refusal, private_folder
+from bench.panel.folder import RunsFolder
+from bench.run.folder import Run, checked_name
+from bench.run.manifest import EVENTS, RecordError, sha256
+from bench.run.record import is_being_written
+from drivers.clock import Clock, SystemClock, utc_now
+
+BENCH: Final = ("-c", "from bench.cli.program import main; main()")
+NAP_S: Final = 0.05
+LONGEST_START_S: Final = 30.0
+LAST_WORDS: Final = 4000
+
+
+@dataclass(frozen=True)
+class Started:
+    """A process that was started, and the file that its output goes to."""
+
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    @property
+    def status(self) -> int | None:
+        """Exit status, None as long as it lives."""
+        return self.process.poll()
+
+    def last_words(self) -> str:
+        """Return the end of what it has written."""
+        return last_words(self.log)
+
+
+def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
+    """Start a command that no end of this program ends. Raises `OSError`.
+
+    The arguments are given one by one, never to a shell.
+    """
+    with log.open("wb") as out:
+        process = subprocess.Popen(  # noqa: S603 - a program of ours, arguments that were checked
+            [sys.executable, *program, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    # somebody must take note of its end, else it stays as a zombie as long as this program lives
+    threading.Thread(target=process.wait, daemon=True).start()
+    return Started(process, log)
+
+
+def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None = None) -> bool:
+    """Wait until a process has begun; false where it takes long. Raises `Refusal` where it ended before."""
+    clock = clock or SystemClock()
+    until_s = clock.now_s() + LONGEST_START_S
+    while not begun():
+        if (status := started.status) is not None:
+            if begun():
+                return True
+            raise Refusal(409, f"it did not begin (exit status {status}): {started.last_words()}")
+        if clock.now_s() > until_s:
+            return False
+        clock.sleep(NAP_S)
+    return True
+
+
+def last_words(log: Path) -> str:
+    """Return the end of what a process has written into its file."""
+    try:
+        with open_regular(log) as file:
+            file.seek(max(file.seek(0, 2) - LAST_WORDS, 0))
+            return visible(file.read().decode(errors="replace")).strip()
+    except OSError:
+        return ""
+
+
+WISH: Final = "wish.json"
+FOUND: Final = "found.json"
+LOCK: Final = "lock"
+STARTED: Final = "started"
+MOST_KEPT: Final = 20
+MOST_AT_ONCE: Final = 2
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be run: procedure and bench by path with the SHA-256 that they were checked with, unit, operator.
+
+    `practice` is a dry run that asks a person; `name` is the run's, empty where it is to be found.
+    """
+
+    procedure: str
+    bench: str
+    unit: str = ""
+    operator: str = ""
+    name: str = ""
+    practice: bool = False
+    sha256: Mapping[str, str] = field(default_factory=dict)
+
+    def hashed(self) -> Wanted:
+        """Return it with the hashes of its files as they are now. Raises `Refusal`."""
+        return replace(self, sha256=self._hashes())
+
+    def changed(self) -> bool:
+        """Whether its files are others than those that were checked. Raises `Refusal`."""
+        return dict(self.sha256) != self._hashes()
+
+    def _hashes(self) -> dict[str, str]:
+        try:
+            return {path: sha256(read_regular(Path(path))) for path in (self.procedure, self.bench)}
+        except OSError as error:
+            raise Refusal(409, f"{error.filename}: cannot be read ({error.strerror})") from error
+
+
+@dataclass(frozen=True)
+class Found:
+    """What check and dry run found. `stage` is "checking", "trying" or "done".
+
+    `check` are the findings as `bench check --json` has them, `mistakes` what keeps the files from being read;
+    `tried` the exit status of the dry run, None where there was none, and `said` its last words; `result` what
+    `bench run --json` wrote.
+    """
+
+    stage: str = "checking"
+    check: dict[str, Any] | None = None
+    mistakes: str = ""
+    tried: int | None = None
+    said: str = ""
+    result: dict[str, Any] | None = None
+
+    @property
+    def startable(self) -> bool:
+        """Whether nothing forbids to start; a dry run refused for want of answers does not."""
+        if self.stage != "done" or self.check is None or self.check["problems"]:
+            return False
+        return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
+
+
+class WishFolder:
+    """The folder of one wish."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def id(self) -> str:
+        """Its name, as addresses have it."""
+        return self.path.name
+
+    def wanted(self) -> Wanted:
+        """Return what is wanted. Raises `Refusal`."""
+        return Wanted(**self._read(WISH))
+
+    def found(self) -> Found:
+        """Return what was found so far. Raises `Refusal`."""
+        return Found(**self._read(FOUND))
+
+    def tell(self, found: Found) -> None:
+        """Keep what was found so far."""
+        write_whole(self.path / FOUND, to_text(asdict(found)))
+
+    def lock(self) -> FileLock:
+        """Return the lock that whoever checks and tries has as long as it lives."""
+        return FileLock(self.path / LOCK, mode=0o600)
+
+    def at_work(self) -> bool:
+        """Whether somebody checks or tries now."""
+        try:
+            with self.lock().acquire(timeout=0):
+                return False
+        except Timeout:
+            return True
+        except OSError:
+            return False
+
+    def mark_started(self, name: str) -> None:
+        """Note which run was started of it, once. Raises `Refusal` where one was."""
+        try:
+            with (self.path / STARTED).open("x", encoding="utf-8") as file:
+                file.write(name)
+        except FileExistsError:
+            raise Refusal(409, f"this was started already, as {self.started()}") from None
+
+    def unmark_started(self) -> None:
+        """Forget that it was started, as it did not begin."""
+        (self.path / STARTED).unlink(missing_ok=True)
+
+    def started(self) -> str:
+        """Return which run was started of it, empty where none was."""
+        try:
+            return read_regular(self.path / STARTED).decode()
+        except OSError:
+            return ""
+
+    def _read(self, name: str) -> dict[str, Any]:
+        try:
+            told = from_text(read_regular(self.path / name))
+        except (OSError, ValueError):
+            told = None
+        if not isinstance(told, dict):
+            raise Refusal(404, "this is not there any more; begin again")
+        return told
+
+
+class Wishes:
+    """The wishes of a panel, the latest few."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def new(self, wanted: Wanted) -> WishFolder:
+        """Keep a wish and return its folder. Raises `Refusal` where too many are being tried."""
+        self._folder.mkdir(mode=0o700, exist_ok=True)
+        before = [one for one in self._folder.iterdir() if one.is_dir()]
+        before.sort(key=lambda one: one.stat().st_mtime)
+        idle = [one for one in before if not WishFolder(one).at_work()]
+        if len(before) - len(idle) >= MOST_AT_ONCE:
+            raise Refusal(429, "two runs are being tried already; wait until one is done")
+        for old in idle[: max(len(before) - MOST_KEPT + 1, 0)]:
+            shutil.rmtree(old, ignore_errors=True)
+        wish = WishFolder(self._folder / secrets.token_hex(6))
+        wish.path.mkdir(mode=0o700)
+        write_whole(wish.path / WISH, to_text(asdict(wanted)))
+        wish.tell(Found())
+        return wish
+
+    def of(self, wish_id: str) -> WishFolder:
+        """Return the folder of a wish. Raises `Refusal` (404)."""
+        if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
+            raise Refusal(404, "this is not there any more; begin again")
+        return WishFolder(self._folder / wish_id)
+
+
+ANSWERS: Final = "--answers=folder"
+OUTPUT: Final = "panel.log"
+"""What the program that carries out a run writes for a terminal, in the run's folder."""
+
+
+def name_of(wanted: Wanted, runs: RunsFolder) -> str:
+    """Return the name of a run to be started, one that no run has. Raises `Refusal`."""
+    stem = re.sub(r"[^\w.+-]", "-", Path(wanted.procedure).stem)
+    name = wanted.name or f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
+    try:
+        checked_name(name)
+    except RecordError as mistake:
+        raise Refusal(400, str(mistake)) from mistake
+    if (runs.path / name).exists():
+        raise Refusal(409, f"there is a run {name} already; choose another name")
+    return name
+
+
+def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
+    """Start a wished run in a process of its own and return it once its record has begun. Raises `Refusal`."""
+    wanted = wish.wanted()
+    if wanted.changed():
+        raise Refusal(409, "procedure or bench file was changed since they were checked; check them again")
+    name = name_of(wanted, runs)
+    wish.mark_started(name)
+    arguments = [
+        "run", wanted.procedure, f"--bench={wanted.bench}", f"--name={name}", f"--runs={runs.path.absolute()}",
+        f"--operator={wanted.operator}", ANSWERS,
+    ]  # fmt: skip
+    arguments += [f"--unit={wanted.unit}"] if wanted.unit else []
+    arguments += ["--dry-run"] if wanted.practice else []
+    folder = runs.path / name
+    try:
+        started = start(arguments, wish.path / OUTPUT)
+        begun = wait_until((folder / EVENTS).exists, started)
+    except BaseException:
+        wish.unmark_started()
+        raise
+    if not begun:
+        raise Refusal(409, "it takes long to begin; look among the runs in a moment")
+    return runs.run(name)
+
+
+def resume_run(run: Run) -> None:
+    """Go on with a run, or make its results, in a process of its own, which has begun when this returns.
+
+    Raises `Refusal`.
+    """
+    if is_being_written(run.folder):
+        raise Refusal(409, "a program is carrying out this run now")
+    started = start(["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", ANSWERS], _output(run))
+    wait_until(lambda: is_being_written(run.folder) or not run.results_missing, started)
+
+
+def diagnose(run: Run) -> Started:
+    """Begin to diagnose a run in a process of its own."""
+    target = run.folder.absolute()
+    return start(
+        ["diagnose", str(target), f"--runs={_runs(run)}", f"--json={target / 'diagnose.json'}"], _output(run)
+    )
+
+
+def _output(run: Run) -> Path:
+    folder = private_folder(run.folder.parent / ".panel" / "output")
+    return folder / f"{run.name}.log"
+
+
+def _runs(run: Run) -> Path:
+    return run.folder.parent.absolute()
+
+
+MARKS: Final = {
+    PROCEDURES: re.compile(rb"^procedure\s*:", re.MULTILINE),
+    CONFIG: re.compile(rb"^instruments\s*:", re.MULTILINE),
+}
+"""By what a file of the working folder is known as a procedure or a bench file."""
+
+NEXT: Final = "diagnose-next.yaml"
+"""What the diagnosis of a run proposes to measure, in the run's folder."""
+OF_RUN: Final = "next:"
+BEGINNING: Final = 65_536
+
+
+def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
+    """Return what may be chosen of a kind (`PROCEDURES` or `CONFIG`), by name.
+
+    A copy in the working folder is taken for the shipped file of its name, as commands do.
+    """
+    here = working or Path()
+    found = {file.stem: file for file in _yaml(shipped_folder(kind))}
+    found |= {file.stem: file for file in _yaml(here / kind)}
+    found |= {file.name: file for file in _yaml(here) if MARKS[kind].search(_beginning(file))}
+    named = os.environ.get("BENCH_FILE", "")
+    if kind == CONFIG and named and Path(named).is_file():
+        found[named] = Path(named)
+    return dict(sorted(found.items()))
+
+
+def chosen_procedure(name: str, runs: RunsFolder) -> Path:
+    """Return the procedure of a name, or what a run's diagnosis proposes (`next:RUN`). Raises `Refusal`."""
+    if name.startswith(OF_RUN):
+        run = runs.run(name.removeprefix(OF_RUN))
+        file = run.folder / NEXT
+        if file.is_symlink() or not file.is_file():
+            raise Refusal(404, f"{run.name}: its diagnosis proposes no measurement")
+        return file
+    return _chosen(PROCEDURES, name, "procedure")
+
+
+def chosen_bench(name: str, runs: RunsFolder) -> Path:
+    """Return the bench file of a name, or that of the run whose diagnosis is followed. Raises `Refusal`."""
+    if name.startswith(OF_RUN):
+        run = runs.run(name.removeprefix(OF_RUN))
+        original = Path(str(run.manifest.get("bench", "")))
+        if original in choices(CONFIG).values() or original.name in choices(CONFIG):
+            return original
+        raise Refusal(404, f"{run.name}: its bench file is not at hand any more; choose one")
+    return _chosen(CONFIG, name, "bench file")
+
+
+def _chosen(kind: str, name: str, called: str) -> Path:
+    found = choices(kind).get(name)
+    if found is None:
+        raise Refusal(400, f"there is no {called} of that name to choose")
+    return found
+
+
+def _yaml(folder: Path) -> list[Path]:
+    try:
+        return sorted(file for file in folder.iterdir() if file.suffix == ".yaml" and file.is_file())
+    except OSError:
+        return []
+
+
+def _beginning(file: Path) -> bytes:
+    try:
+        with open_regular(file) as stream:
+            return stream.read(BEGINNING)
+    except OSError:
+        return b""

@@ -1,0 +1,183 @@
+"""Optional columns of a readings file: the level, the rails of the supply, what was measured at them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, HOUR, Floats, Labels
+from bench.base.numbers import read_number
+from bench.base.visible import shortened
+
+ANGLES: Final = ("alpha1_arcsec", "alpha2_arcsec", "u_alpha1_arcsec", "u_alpha2_arcsec")
+"""The columns of a levelling: the platform's angles while the block is mounted, and their u."""
+DRIFTS: Final = ("drift_alpha1_arcsec_h", "drift_alpha2_arcsec_h")
+"""How fast the platform moved where it was read again, root mean square: the same in all rows of a run."""
+LEVEL_COLUMNS: Final = (*ANGLES, *DRIFTS)
+
+
+def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
+    """Return α1, α2 and their u of each row, rad, shape (rows, 4), NaN where not known; None for no such column.
+
+    Raises `ValueError` for a cell that is no number, and for an angle without its u.
+    """
+    if not all(name in extra for name in ANGLES):
+        return None
+    columns = [
+        [float(cell) if cell.strip() else math.nan for cell in extra[name].tolist()] for name in ANGLES
+    ]
+    found = np.array(columns, dtype=np.float64).reshape(4, rows).T * ARCSEC
+    whole = np.isfinite(found).all(axis=1)
+    if np.any(np.isfinite(found).any(axis=1) & ~whole) or np.any(found[whole, 2:] <= 0.0):
+        raise ValueError(f"{', '.join(ANGLES)} stand together, and u is more than nothing")
+    return found
+
+
+def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
+    """Return how fast the platform was seen to move, rad/s; None where nobody looked again."""
+    if not all(name in extra for name in DRIFTS):
+        return None
+    rates = [[float(cell) for cell in extra[name].tolist() if cell.strip()] for name in DRIFTS]
+    if not all(rates):
+        return None
+    one, two = (math.sqrt(sum(r**2 for r in own) / len(own)) * ARCSEC / HOUR for own in rates)
+    return one, two
+
+
+def wrong_level_cell(text: Mapping[str, str]) -> tuple[str, str] | None:
+    """Return column and mistake of a row that no level showed; None for a good one."""
+    for name in LEVEL_COLUMNS:
+        cell = text.get(name, "").strip()
+        try:
+            good = not cell or math.isfinite(read_number(cell))
+        except ValueError:
+            good = False
+        if not good:
+            return name, f"expected a number of arcsec, got {shortened(cell)!r}"
+    given = [name for name in ANGLES if text.get(name, "").strip()]
+    for name in ANGLES if given else ():
+        if name not in given or (name.startswith("u_") and float(text[name]) <= 0.0):
+            return name, f"expected a number: {', '.join(ANGLES)} stand together, and u is more than nothing"
+    return None
+
+
+_COLUMN: Final = re.compile(r"rail_(?P<rail>[a-z][a-z0-9_]*?)_(?P<what>nominal_v|v|a)")
+
+
+def voltage_column(rail: str) -> str:
+    """Return the column of the measured voltage of a rail, V."""
+    return f"rail_{rail}_v"
+
+
+def nominal_column(rail: str) -> str:
+    """Return the column of the nominal voltage of a rail, V."""
+    return f"rail_{rail}_nominal_v"
+
+
+def current_column(rail: str) -> str:
+    """Return the column of the measured current of a rail, A."""
+    return f"rail_{rail}_a"
+
+
+def is_of_a_rail(column: str) -> bool:
+    """Whether a column is one of these."""
+    return _COLUMN.fullmatch(column) is not None
+
+
+def rails_of(columns: Iterable[str]) -> tuple[str, ...]:
+    """Return the rails that have a voltage among these columns, in their order."""
+    matches = [_COLUMN.fullmatch(column) for column in columns]
+    return tuple(match["rail"] for match in matches if match is not None and match["what"] == "v")
+
+
+def above_nominal_v(extra: Mapping[str, Labels]) -> Floats | None:
+    """Return the voltages of the rails less their nominal ones, V, shape (n, rails), NaN where one is not given.
+
+    None where there is no rail. A rail without its nominal voltage has nothing to count from: it is NaN throughout.
+    """
+    rails = rails_of(extra)
+    if not rails:
+        return None
+    columns = [
+        _numbers(extra[voltage_column(rail)])
+        - (_numbers(extra[nominal_column(rail)]) if nominal_column(rail) in extra else np.nan)
+        for rail in rails
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _numbers(cells: Labels) -> Floats:
+    return np.array([float(cell) if cell.strip() else np.nan for cell in cells.tolist()], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Rail:
+    """What a rail has, V with its sign, what it is to have, V, and what it gives, A."""
+
+    voltage_v: float
+    nominal_v: float
+    current_a: float
+
+    def to_json(self) -> dict[str, float]:
+        """Return it as an event holds it."""
+        return {"voltage_v": self.voltage_v, "nominal_v": self.nominal_v, "current_a": self.current_a}
+
+    @classmethod
+    def from_json(cls, row: Mapping[str, Any]) -> Rail:
+        """Return the rail of an event. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
+        values = (row["voltage_v"], row["nominal_v"], row["current_a"])
+        if any(type(value) not in (int, float) or not isfinite(value) for value in values):
+            raise ValueError("a number of a rail is none")
+        return cls(*values)
+
+
+def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, Rail]:
+    """Return what is recorded of rails that were looked at before a reading and after it: the means."""
+    return {
+        name: Rail(
+            (rail.voltage_v + after[name].voltage_v) / 2.0,
+            rail.nominal_v,
+            (rail.current_a + after[name].current_a) / 2.0,
+        )
+        for name, rail in before.items()
+        if name in after
+    }
+
+
+def columns_of(taken: Sequence[Mapping[str, Rail]]) -> dict[str, list[str]]:
+    """Return the columns of readings as text, by name: three of each rail that any of them has."""
+    columns: dict[str, list[str]] = {}
+    for name in dict.fromkeys(name for rails in taken for name in rails):
+        rails = [row.get(name) for row in taken]
+        columns[voltage_column(name)] = ["" if rail is None else repr(rail.voltage_v) for rail in rails]
+        columns[nominal_column(name)] = ["" if rail is None else f"{rail.nominal_v:g}" for rail in rails]
+        columns[current_column(name)] = ["" if rail is None else repr(rail.current_a) for rail in rails]
+    return columns
+
+
+def ranges_in_words(extra: Mapping[str, Sequence[str]]) -> str:
+    """Say from which to which voltage and current each rail was at the readings; empty where there is no rail.
+
+    `extra` are the text columns of a table.
+    """
+    told = []
+    for rail in rails_of(extra):
+        spans = [_span(extra[voltage_column(rail)], "V", 1.0)]
+        if current_column(rail) in extra:
+            spans.append(_span(extra[current_column(rail)], "mA", 1e3))
+        told.append(f"{rail} {', '.join(span for span in spans if span) or 'not measured'}")
+    return "; ".join(told)
+
+
+def _span(cells: Sequence[str], unit: str, scale: float) -> str:
+    values = [float(cell) * scale for cell in cells if cell.strip()]
+    if not values:
+        return ""
+    low, high = f"{min(values):.5g}", f"{max(values):.5g}"
+    return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"

@@ -1,0 +1,1 @@
+"""Statistics apart from any bench: variance components, run lengths, multiple testing."""

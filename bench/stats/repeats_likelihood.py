@@ -1,0 +1,269 @@
+"""The restricted likelihood of repeats of readings, maximised for many runs at once.
+
+Deviations of repeats from the mean of their group have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T each
+group. Fisher scoring: information 1/2 tr(R^-1 R_k R^-1 R_l), score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
+closed form (Sherman and Morrison). Whether the channels have one size is asked by the score where they have.
+Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc.
+44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of sizes that go to zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import Floats, Ints, Mask
+
+LEAST_DOF: Final = 4.0
+"""Degrees of freedom with which a size of the noise enters at least: a prior stands for those that readings lack.
+
+Four are those of a size that is known to about 35 % (JCGM 100:2008, G.4.2).
+"""
+
+OWN: Final = np.eye(4)
+"""Parameters are the variances of x, y, z and of the setting."""
+COMMON: Final = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+"""Parameters are one variance for all three channels, and that of the setting."""
+
+LEAST_SETTING: Final = 1e-6
+"""Least variance of the setting, as it shows in the signals, as a part of that of the reading."""
+LEAST_CHANNEL: Final = 1e-6
+"""Least variance of a channel as a part of the mean of the three: below it the sums cancel."""
+ROUNDS: Final = 60
+EQUAL_P: Final = 0.2
+"""Channels are of one size where a test of equality gives this or more: a wrong size would be in every u."""
+
+DIGITS: Final = 4.0
+"""A variance that is no more times that of the last digit tells of digits, not of channels."""
+
+AT_REST: Final = 1e-4
+"""No parameter moves by more than this part of itself."""
+MOST_CHANGE: Final = 4.0
+"""A step changes no parameter by more than this factor."""
+
+
+def sizes_of(
+    scatter: Floats,
+    freedom: Ints | Floats,
+    slope: Floats,
+    floor: float | Floats,
+    by: Floats = OWN,
+    start: Floats | None = None,
+    about: Floats | None = None,
+) -> Floats:
+    """Return the variances of x, y, z (unit^2) and of the setting (rad^2) of many runs, shape (runs, 4).
+
+    `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,), `slope`
+    (runs, groups, 3) du/dphi, unit/rad; `floor` (runs,) or one number the least noise believed; `by` one of
+    `OWN`, `COMMON`; `start` (runs, 4) where to begin. A run without any slope has a setting error of zero.
+    `about` (runs,) gives each variance of a channel a scaled inverse chi-square prior about that of its run, with
+    `LEAST_DOF` degrees of freedom: none goes to zero.
+    """
+    weight = freedom.astype(np.float64)
+    slope2 = _mean_slope2(slope, weight)
+    least = np.broadcast_to(np.square(floor), slope2.shape)
+    if start is None:
+        own = np.maximum(np.einsum("rgii->ri", scatter) / weight.sum(), least[:, None])
+        start = np.concatenate([own, _shown(own.mean(axis=1) / 3, slope2)[:, None]], axis=1)
+    # the mean of what a parameter stands for
+    theta = start @ (by / by.sum(axis=0))
+    least = np.maximum(least, LEAST_CHANNEL * (theta @ by.T)[:, :3].mean(axis=1))
+    bottom = np.repeat(least[:, None], theta.shape[1], axis=1)
+    open_rows = np.arange(len(theta))
+    for _ in range(ROUNDS):
+        at = theta[open_rows]
+        bottom[open_rows, -1] = LEAST_SETTING * _shown((at @ by.T)[:, :3].mean(axis=1), slope2[open_rows])
+        prior = None if about is None else about[open_rows, None]
+        moved = _step(scatter[open_rows], weight, slope[open_rows], at, bottom[open_rows], by, prior)
+        theta[open_rows] = moved
+        open_rows = open_rows[(np.abs(moved - at) > AT_REST * at).any(axis=1)]
+        if not len(open_rows):
+            break
+    found: Floats = theta @ by.T
+    found[slope2 <= 0.0, 3] = 0.0
+    return found
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Variances (runs, 4) of x, y, z and the setting, as they are believed; degrees of freedom (runs, 3).
+
+    `p_equal` (runs,) is the probability of such a difference between the channels where all are of one size:
+    a run has one size for all three where it is not below `EQUAL_P`.
+    """
+
+    variances: Floats
+    dof: Floats
+    p_equal: Floats
+
+    @property
+    def alike(self) -> Mask:
+        """Which runs have one size for all three channels, shape (runs,)."""
+        return np.asarray(self.p_equal >= EQUAL_P)
+
+
+def believed_sizes(
+    scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: float | Floats, *, one_size: bool = False
+) -> Sizes:
+    """Return the sizes of many runs, of each channel its own where they are not of one size.
+
+    They are of one size where that is asked for, and where all that is left is the last digit of the replies.
+    """
+    common = sizes_of(scatter, freedom, slope, floor, COMMON)
+    variances, count = common.copy(), len(common)
+    # two of three signals tell of a common size, the third of the setting
+    dof = np.full((count, 3), 2.0 * float(freedom.sum()))
+    if one_size:
+        return Sizes(variances, dof, np.ones(count))
+    p = equality(scatter, freedom, slope, variances)
+    p = np.where(variances[:, 0] <= DIGITS * np.square(floor), 1.0, p)
+    own = np.flatnonzero(p < EQUAL_P)
+    if len(own):
+        at_least = np.broadcast_to(floor, (count,))[own]
+        variances[own] = sizes_of(scatter[own], freedom, slope[own], at_least, OWN, variances[own])
+        dof[own] = freedom_of(freedom, slope[own], variances[own])[:, :3]
+    few = own[np.min(dof[own], axis=1) < LEAST_DOF]
+    if len(few):
+        # the setting error can take all that few repeats of a channel scatter: the size of all three is its prior
+        at_least = np.broadcast_to(floor, (count,))[few]
+        variances[few] = sizes_of(
+            scatter[few], freedom, slope[few], at_least, OWN, common[few], about=common[few, 0]
+        )
+        dof[few] = freedom_of(freedom, slope[few], variances[few], LEAST_DOF)[:, :3]
+    return Sizes(variances, dof, p)
+
+
+def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
+    """Return the probability of such a difference between the channels where all are of one size, shape (runs,).
+
+    Rao's score test at the sizes `common` (runs, 4), the greatest likelihood with one size; the setting takes no
+    part where it is at its lower end.
+    """
+    score, information = _score_and_information(scatter, freedom.astype(np.float64), slope, common)
+    score, information = score * common, information * common[:, :, None] * common[:, None, :]
+    held = score[:, 3] < -1e-3 * information[:, 0, 0]
+    held |= ~(information[:, 3, 3] > 0.0)
+    score[held, 3] = information[held, 3, :3] = information[held, :3, 3] = 0.0
+    information[held, 3, 3] = 1.0
+    # score and information are twice those of ln L
+    misfit = 0.5 * np.einsum("ri,ri->r", score, np.linalg.solve(information, score[:, :, None])[:, :, 0])
+    return np.asarray(special.chdtrc(2, np.maximum(misfit, 0.0)))
+
+
+def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_dof: float = 0.0) -> Floats:
+    """Return the degrees of freedom of the variances (runs, 4) of x, y, z and the setting, shape (runs, 4).
+
+    2 v^2/var(v) with var(v) from the information on all four: what the setting error takes is left out. Each
+    channel has `prior_dof` besides.
+    """
+    information = _information(_Inverse.of(variances, slope), freedom.astype(np.float64))
+    scaled = information * variances[:, :, None] * variances[:, None, :]
+    places = np.arange(4)
+    # what no slope shows, or lies at its lower end, takes nothing from the others
+    scaled[:, places, places] += 1e-9 * scaled.max(axis=(1, 2))[:, None]
+    scaled[:, places[:3], places[:3]] += prior_dof
+    inverted = np.linalg.inv(scaled)
+    return np.asarray(1.0 / np.einsum("rii->ri", inverted))
+
+
+@dataclass(frozen=True)
+class _Inverse:
+    """R^-1 of each group: diag(`own`) less `part` times w w^T, w = `by_own` = diag(own) d.
+
+    `own` (runs, 1, 3), `by_own` (runs, groups, 3), `part` (runs, groups); `by_slope` is R^-1 d, `along` d^T R^-1 d.
+    """
+
+    own: Floats
+    by_own: Floats
+    part: Floats
+    by_slope: Floats
+    along: Floats
+
+    @classmethod
+    def of(cls, variances: Floats, slope: Floats) -> _Inverse:
+        own = 1.0 / variances[:, None, :3]
+        by_own = own * slope
+        alone = np.einsum("rgi,rgi->rg", slope, by_own)
+        shrink = 1.0 / (1.0 + variances[:, 3:] * alone)
+        return cls(own, by_own, variances[:, 3:] * shrink, by_own * shrink[:, :, None], alone * shrink)
+
+    def times(self, columns: Floats) -> Floats:
+        """Return R^-1 times columns (runs, groups, 3, q)."""
+        across = self.by_own[:, :, None, :] @ columns * self.part[:, :, None, None]
+        return np.asarray(self.own[..., None] * columns - self.by_own[..., None] * across)
+
+    @property
+    def diagonal(self) -> Floats:
+        """The diagonal (runs, groups, 3)."""
+        return np.asarray(self.own - self.part[:, :, None] * self.by_own**2)
+
+
+def _information(inverse: _Inverse, weight: Floats) -> Floats:
+    """Return tr(R^-1 R_k R^-1 R_l) summed over groups, shape (runs, 4, 4): twice the information."""
+    runs = len(inverse.along)
+    weighed = inverse.part[:, :, None] * inverse.by_own**2
+    information = np.empty((runs, 4, 4))
+    # the squares of the elements of own - part w w^T
+    information[:, :3, :3] = (weighed * weight[:, None]).transpose(0, 2, 1) @ weighed
+    places = np.arange(3)
+    information[:, places, places] += weight.sum() * inverse.own[:, 0] ** 2 - 2.0 * inverse.own[:, 0] * (
+        weight @ weighed
+    )
+    information[:, :3, 3] = information[:, 3, :3] = weight @ inverse.by_slope**2
+    information[:, 3, 3] = inverse.along**2 @ weight
+    return information
+
+
+def _score_and_information(
+    scatter: Floats, weight: Floats, slope: Floats, variances: Floats
+) -> tuple[Floats, Floats]:
+    """Return twice the slope of ln L by the four variances (runs, 4), and twice the information (runs, 4, 4)."""
+    inverse = _Inverse.of(variances, slope)
+    by_scatter = inverse.times(scatter)
+    # the diagonal of R^-1 S R^-1, of which R^-1 S has the columns
+    crossed = np.einsum("rgij,rgj->rgi", by_scatter, inverse.by_own) * inverse.part[:, :, None]
+    both = np.einsum("rgii->rgi", by_scatter) * inverse.own - crossed * inverse.by_own
+    score = np.empty((len(variances), 4))
+    score[:, :3] = both.sum(axis=1) - weight @ inverse.diagonal
+    shown = np.einsum("rgi,rgij,rgj->rg", inverse.by_slope, scatter, inverse.by_slope)
+    score[:, 3] = shown.sum(axis=1) - inverse.along @ weight
+    return score, _information(inverse, weight)
+
+
+def _mean_slope2(slope: Floats, weight: Floats) -> Floats:
+    return np.asarray(np.einsum("rgi,rgi->rg", slope, slope) @ weight / weight.sum())
+
+
+def _shown(variance: Floats, slope2: Floats) -> Floats:
+    """Return the variance of a setting that shows as so much in the signals; 1 where nothing shows it."""
+    return np.where(slope2 > 0.0, variance / np.where(slope2 > 0.0, slope2, 1.0), 1.0)
+
+
+def _step(
+    scatter: Floats,
+    weight: Floats,
+    slope: Floats,
+    theta: Floats,
+    bottom: Floats,
+    by: Floats,
+    prior: Floats | None,
+) -> Floats:
+    score, information = _score_and_information(scatter, weight, slope, theta @ by.T)
+    # relative steps: variances of volts and of angles are many orders apart
+    slopes = score @ by * theta
+    curvature = by.T @ information @ by * theta[:, :, None] * theta[:, None, :]
+    if prior is not None:
+        ratio, channels = prior / theta[:, :-1], np.arange(theta.shape[1] - 1)
+        slopes[:, :-1] += LEAST_DOF * (ratio - 1.0)
+        curvature[:, channels, channels] += LEAST_DOF * ratio
+    held = (theta <= bottom) & (slopes <= 0.0)
+    free = ~held
+    curvature *= free[:, :, None] & free[:, None, :]
+    places = np.arange(theta.shape[1])
+    ridge = 1e-12 * curvature.max(axis=(1, 2))[:, None]
+    curvature[:, places, places] += np.where(held, 1.0, ridge)
+    change = np.linalg.solve(curvature, np.where(free, slopes, 0.0)[:, :, None])[:, :, 0]
+    return np.asarray(np.maximum(theta * np.clip(1.0 + change, 1 / MOST_CHANGE, MOST_CHANGE), bottom))
