@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from bench.base.numbers import rounded
 from tests.support.browser_runs import Begun, answer_on, prompt_of, typed_for
 
 NOT_OF_THE_RUN = {"time", "prev", "by", "role", "where", "line", "n", "id"}
@@ -62,7 +63,8 @@ def test_answers_typed_in_a_browser_are_worth_those_of_the_terminal(visit, panel
         json.loads((panel.runs / "browser" / "verify.json").read_text("utf-8"))["points"],
         key=lambda p: abs(p["delta_g"]),
     )
-    assert f"worst |Δg| = {abs(worst['delta_g']) * 1e6:.0f} " in page.inner_text("main")
+    shown = rounded(abs(worst["delta_g"]) * 1e6, worst["U"] * 1e6)
+    assert f"worst |Δg| = {shown} " in page.inner_text("main")
 
 
 def test_an_angle_is_checked_as_it_is_typed_and_nothing_jumps(visit, panel, begin):
