@@ -56,13 +56,14 @@ IGNORED: Final = (
     r"(^|[._])(created|made|time|when|date|begun|ended|at|took|takes|age|elapsed|duration)(_s|_utc|_at)?$",
     r"(^|[._])(versions?|program|python|platform|packages?|hash|sha256|head|chain|digest|id|uuid|pid|host|user)$",
     r"(^|[._])(path|folder|file|files|page|report|model_file)$",
-    r"[Ss]ignature|[Ii]dentifier|release|[Tt]imestamp",
+    r"[Ss]ignature|[Ii]dentifier|release|[Tt]imestamp|free_bytes$|\.prev$",
 )
 """Members whose values are not compared (times, versions, identifiers, places, signatures); their presence is."""
 _NUMBER: Final = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-_TIME: Final = re.compile(
-    r"\d{4}-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:\d\d)?)?|\d\d:\d\d(?::\d\d)?"
-)
+_CLOCK: Final = r"\d\d:\d\d(?::\d\d(?:\.\d+)?)?"
+_TIME: Final = rf"\d{{4}}-\d\d-\d\d(?:[T ]{_CLOCK}(?:Z|[+-]\d\d:\d\d)?)?|{_CLOCK}"
+_PASSING: Final = re.compile(rf"(?<![\w.])(?=\d*[a-f])[0-9a-f]{{12,64}}\b|(?:/[\w.+-]+){{2,}}|{_TIME}")
+"""Digests, places and times within texts, which are not compared either."""
 
 
 def store(folder: Path, program: str, seeds: int) -> None:
@@ -123,11 +124,10 @@ class Differences:
 
     def text(self, where: str, one: str, other: str) -> None:
         """Compare two texts: their numbers must agree; where words alone differ, they are reworded."""
+        one, other = (_PASSING.sub("…", text) for text in (one, other))
         if one == other:
             return
-        mine, theirs = (
-            [_number(found) for found in _NUMBER.findall(_TIME.sub("", text))] for text in (one, other)
-        )
+        mine, theirs = ([_number(found) for found in _NUMBER.findall(text)] for text in (one, other))
         sentence = " " in one.strip() and " " in other.strip()
         if sentence and len(mine) == len(theirs) and all(map(_near, mine, theirs)):
             self.reworded.append(f"{where}: {one[:100]!r} is {other[:100]!r}")

@@ -28,6 +28,9 @@ def differences(one, other):
         ({"note": "noise of 3.1 uV"}, {"note": "the noise is 3.1 uV"}, False),
         ({"note": "noise of 3.1 uV"}, {"note": "noise of 3.2 uV"}, True),
         ({"p": None}, {"p": 0.5}, True),
+        ({"x": "-1.4549221234567"}, {"x": "-1.4549221299999"}, True),
+        ({"head": "0f" * 32}, {"head": "1a" * 32}, False),
+        ({"told": "head 0f0f0f0f0f0f0f0f"}, {"told": "head 1a1a1a1a1a1a1a1a"}, False),
     ],
 )
 def test_what_counts_as_a_difference(one, other, different):
