@@ -32,7 +32,6 @@ from bench.panel.access import Role
 from bench.panel.launching import Started
 from bench.procedure.plan import Read
 from bench.run import asking
-from bench.run import asking as listening
 from bench.run.answers import OpenPrompt
 from bench.run.events import Event
 from bench.run.folder import RESULTS, Run
@@ -129,7 +128,6 @@ class Desk:
 
             stack.enter_context(mock.patch.object(Record, "append", followed))
             stack.enter_context(mock.patch.object(asking, "LISTEN_S", 0.002))
-            stack.enter_context(mock.patch.object(listening, "LISTEN_S", 0.002))
             stack.enter_context(mock.patch("bench.report.plots._written", return_value=EMPTY_FIGURE))
             self.browser = Browser(self.runs, "anna", Role.OPERATOR)
             stack.enter_context(self.browser.client)  # one loop, in which the panel follows runs

@@ -18,7 +18,6 @@ from bench.base.forms import FileMistakes
 from bench.files.bench.file import load_bench
 from bench.files.shipped import find_bench
 from bench.panel import look
-from bench.panel import look as assets
 from bench.panel.access import Gate, Refusal
 from bench.panel.pages import catalogue, check, control, live, runs, shown, sign_in, start, verdict
 from bench.panel.panel import Panel
@@ -32,7 +31,7 @@ ROUTES = [
     Route("/sign-in", sign_in.sign_in, methods=["GET"]),
     Route("/sign-in", sign_in.signed_in, methods=["POST"]),
     Route("/sign-out", sign_in.sign_out, methods=["POST"]),
-    Route("/static/{hash}/{name}", assets.send_asset),
+    Route("/static/{hash}/{name}", look.send_asset),
     Route("/start", start.form, methods=["GET"]),
     Route("/start", start.check, methods=["POST"]),
     Route("/start/{wish}", start.found),

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from bench.run import asking
-from bench.run import terminal as typed_line
+from bench.run import terminal as terminal_module
 from bench.run.answers import ANSWERS, LeftAnswer, ask, confirm, leave_answer, open_prompt
 from bench.run.asking import READ_S, Asker, WishListener
 from bench.run.control import ControlFile, OperatorWish, RunControl, Stopped, Who, leave_wish
@@ -74,7 +74,7 @@ def away(run):
 @pytest.fixture
 def keyboard_and_person(run, monkeypatch):
     """A terminal of the system: where keys are hit, the person at it, and what is shown."""
-    real = typed_line.select.select
+    real = terminal_module.select.select
 
     def at_once(read, write, failed, _wait_s):
         if not (found := real(read, write, failed, 0.005))[0] and run.plan:

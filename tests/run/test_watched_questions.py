@@ -8,7 +8,7 @@ import signal
 import pytest
 from rich.console import Console
 
-from bench.run import terminal as typed_line
+from bench.run import terminal as terminal_module
 from bench.run.control import RunControl
 from bench.run.interruptions import Interrupts
 from bench.run.power import WATCH_S, RailFault
@@ -29,14 +29,14 @@ class Passing(VirtualClock):
     """Time passes while somebody looks at it: as much as between two slices of a question."""
 
     def now_s(self) -> float:
-        self.sleep(typed_line.SLICE_S)
+        self.sleep(terminal_module.SLICE_S)
         return super().now_s()
 
 
 @pytest.fixture
 def terminal(monkeypatch):
     """A terminal of the system: where keys are hit, and the stream that a program reads."""
-    monkeypatch.setattr("bench.run.terminal.select.select", _at_once(typed_line.select.select))
+    monkeypatch.setattr("bench.run.terminal.select.select", _at_once(terminal_module.select.select))
     keys, screen = pty.openpty()
     with os.fdopen(screen, encoding="utf-8") as answers, os.fdopen(keys, "wb", buffering=0) as keyboard:
         yield keyboard, answers
@@ -87,7 +87,7 @@ def test_what_a_look_raises_ends_the_question(terminal):
 
 def test_lines_of_a_pipe_are_read_one_by_one_and_its_end_is_nobody(monkeypatch):
     """A stream that had read ahead would let the system say that nothing is there."""
-    monkeypatch.setattr("bench.run.terminal.select.select", _at_once(typed_line.select.select))
+    monkeypatch.setattr("bench.run.terminal.select.select", _at_once(terminal_module.select.select))
     out, into = os.pipe()
     looks = []
     with os.fdopen(out, encoding="utf-8") as answers:

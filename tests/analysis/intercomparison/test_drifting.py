@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.analysis.intercomparison import capability as drifting
+from bench.analysis.intercomparison import capability as capability_module
 from bench.analysis.intercomparison.capability import YEAR, Within, apart, capability, histories
 from bench.analysis.intercomparison.crossed import EXCESS, Crossing, fit
 from benchmarks.capability_honesty import laboratory
@@ -79,10 +79,8 @@ def of_column(made, k):
 
 def test_of_long_histories_in_a_large_laboratory_a_part_is_taken_and_that_is_said(monkeypatch):
     made = laboratory(np.random.default_rng(3), 3, 40, 2, (1.0, 0.0, 0.0, 0.5))
-    monkeypatch.setattr(drifting, "MOST_WORK", 3 * 20.0**3)
-    of = drifting.histories(
-        *(np.unique(x, return_inverse=True)[1] for x in (made.unit, made.bench)), np.arange(120.0)
-    )
+    monkeypatch.setattr(capability_module, "MOST_WORK", 3 * 20.0**3)
+    of = histories(*(np.unique(x, return_inverse=True)[1] for x in (made.unit, made.bench)), np.arange(120.0))
     assert (of.longest, of.dof) == (16, 45)
     for alike in of.alike:
         # from the first run to the last
